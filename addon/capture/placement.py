@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where captures stand: what the scene remembers of each, and the models and cameras of it.
+"""Where captures stand: what the scene remembers of each, and the models and cameras of it, with what the
+models' limits are measured from.
 
 What is remembered is where models of a capture (``model.origin``) are put when they are imported, and where
 the live preview shows it.
@@ -15,6 +16,7 @@ import numpy as np
 from ...bridge.errors import DataMismatchError
 from .. import similarity
 from ..blender import animated_paths, cloud_of, put_at, to_matrix, world_of
+from ..model import nodes
 from ..model.attributes import CAPTURE, FILE, TURN
 from ..model.look import models_among
 from ..model.origin import capture_of, key_of
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
 FRAME = "physhdr_frame"
 #: An object's transform, as animation names it.
 TRANSFORM = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
+#: What a model's limits are measured from, and which types of objects are there for that alone: a camera or
+#: a figure is the scene's, and stays.
+LIMITS = {nodes.CROP_BOX: ("EMPTY", "MESH"), nodes.DISTANCE_FROM: ("EMPTY",)}
 
 
 def settings_of(scene: bpy.types.Scene) -> "PHYSHDR_Settings":
@@ -55,6 +60,23 @@ def cameras_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Objec
             yield camera
 
 
+def limits_of(model: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """The model's crop box, and the middle of its largest distance, where they stand by themselves.
+
+    What hangs on something, or carries something, is where the user wants it by that: on the model it goes
+    along.
+    """
+    modifier = nodes.find_modifier(model)
+    if modifier is None:
+        return
+    for label, types in LIMITS.items():
+        found = nodes.get_input(modifier, label) if nodes.has_input(modifier, label) else None
+        if found is None or found.type not in types or found.library is not None:
+            continue
+        if found.parent is None and not found.constraints and not found.children:
+            yield found
+
+
 def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
     """Put a model that was just imported where its capture stands, if the scene remembers that.
 
@@ -65,24 +87,35 @@ def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
 
 
 def check_at_rest(scene: bpy.types.Scene, capture: str) -> None:
-    """Raise ``DataMismatchError`` where something animates the transform of a model or a camera of a capture:
-    the next frame would undo what is set of it."""
+    """Raise ``DataMismatchError`` where something animates the transform of a model or a camera of a capture,
+    or of what a model's limits are measured from: the next frame would undo what is set of it."""
     for each in (*models_of(scene, capture), *cameras_of(scene, capture)):
-        paths = animated_paths(each)
-        if animated := next((path for path in TRANSFORM if path in paths), None):
-            raise DataMismatchError(
-                f"the {animated.split('_')[0]} of {each.name} is animated, and would go back to that at the "
-                "next frame",
-                "Remove its keyframes and drivers, and animate an empty that is its parent instead.",
-            )
+        _check_still(
+            each, "Remove its keyframes and drivers, and animate an empty that is its parent instead."
+        )
+    for each in (limit for model in models_of(scene, capture) for limit in limits_of(model)):
+        _check_still(
+            each, "Remove its keyframes and drivers, or parent it to the model, to go along with it."
+        )
+
+
+def _check_still(item: bpy.types.Object, hint: str) -> None:
+    paths = animated_paths(item)
+    if animated := next((path for path in TRANSFORM if path in paths), None):
+        raise DataMismatchError(
+            f"the {animated.split('_')[0]} of {item.name} is animated, and would go back to that at the next "
+            "frame",
+            hint,
+        )
 
 
 def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -> "PHYSHDR_Capture":
     """Let ``change`` ``[4, 4]`` happen to all models and cameras of the target's capture, and remember where
     it is then.
 
-    What hangs on them (a parent's children) goes along. Raises ``DataMismatchError`` where the
-    target's own matrix is no similarity, and as ``check_at_rest``, before anything is moved.
+    What hangs on them (a parent's children) goes along, and so does what the models' limits are measured
+    from. Raises ``DataMismatchError`` where the target's own matrix is no similarity, and as
+    ``check_at_rest``, before anything is moved.
     """
     bpy.context.view_layer.update()  # what a script has just set is in no matrix yet
     capture, now = capture_of(target), np.array(world_of(target), np.float64)
@@ -90,7 +123,7 @@ def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -
     similarity.scale_of(now)
     kept = remembered(scene, target, now)
     wanted = {each: change @ np.array(world_of(each)) for each in models_of(scene, capture)}
-    _put(wanted | _cameras_after(scene, capture, change))
+    _put(_limits_after(wanted) | wanted | _cameras_after(scene, capture, change))
     kept.matrix = (change @ now @ np.linalg.inv(_turn_between(kept, target))).reshape(-1)
     return kept
 
@@ -146,7 +179,7 @@ def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
     original = _square(known.original)
     back = original @ np.linalg.inv(_square(known.matrix))
     wanted = {each: original @ _turn_between(known, each) for each in models_of(scene, capture)}
-    _put(wanted | _cameras_after(scene, capture, back))
+    _put(_limits_after(wanted) | wanted | _cameras_after(scene, capture, back))
     captures.remove(index)
 
 
@@ -156,6 +189,16 @@ def _cameras_after(
     """``[4, 4]``: where the cameras of a capture are after ``change``."""
     cameras = cameras_of(scene, capture)
     return {each: without_scale(change @ np.array(world_of(each), np.float64)) for each in cameras}
+
+
+def _limits_after(wanted: dict[bpy.types.Object, np.ndarray]) -> dict[bpy.types.Object, np.ndarray]:
+    """``[4, 4]``: where what is hidden of models is measured from, so that it stays the same where they are
+    wanted."""
+    after = {}
+    for model, matrix in wanted.items():
+        change = matrix @ np.array(world_of(model).inverted_safe(), np.float64)
+        after |= {each: change @ np.array(world_of(each), np.float64) for each in limits_of(model)}
+    return after
 
 
 def without_scale(matrix: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from mathutils import Vector
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.words import counted
+from ..blender import animated_paths
 from ..light import cg
 from ..rendering.render_setup import has_model
 
@@ -89,37 +90,54 @@ class PHYSHDR_OT_cg_here(bpy.types.Operator):
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        moved = stood(context, place) if self.stand else 0
+        moved, left = stood(context, place) if self.stand else (0, "")
         told = f"Ground at z = {place.z:.3g} m"
         if moved:
             told += f", {counted(moved, 'object')} put onto it"
         if scene.render.engine != "CYCLES":
             told += ". Its shadow is drawn by Cycles alone"
-        self.report({"INFO"}, told)
+        self.report({"WARNING" if left else "INFO"}, f"{told}. {left}" if left else told)
         return {"FINISHED"}
 
 
-def stood(context: bpy.types.Context, place: Vector) -> int:
-    """Move the selected bodies together so that the middle of their underside is at ``place``; how many."""
+def stood(context: bpy.types.Context, place: Vector) -> tuple[int, str]:
+    """Move the selected bodies together so that the middle of their underside is at ``place``.
+
+    Returns how many, and what is told of those that stay: the next frame, or reopening the file, would put
+    them back.
+    """
     chosen = [each for each in context.selected_objects or () if each.type in BODIES and cg.MARK not in each]
     chosen = [each for each in chosen if not cg.shows_model(each)]
-    if not chosen:
-        return 0
+    tops = [each for each in chosen if not _has_ancestor(each, set(chosen))]
+    kept = {each: _kept_by(each) for each in tops}
+    tops = [each for each in tops if not kept[each]]
+    moved = [each for each in chosen if each in tops or _has_ancestor(each, set(tops))]
+    left = ". ".join(f"{each.name} is {why}" for each, why in kept.items() if why)
+    if not moved:
+        return 0, left
     depsgraph = context.evaluated_depsgraph_get()
     corners = []
-    for each in chosen:
+    for each in moved:
         there = each.evaluated_get(depsgraph)
         corners += [there.matrix_world @ Vector(corner) for corner in there.bound_box]
     low = Vector([min(corner[axis] for corner in corners) for axis in range(3)])
     high = Vector([max(corner[axis] for corner in corners) for axis in range(3)])
     by = place - Vector(((low.x + high.x) / 2.0, (low.y + high.y) / 2.0, low.z))
-    tops = [each for each in chosen if not _has_ancestor(each, set(chosen))]
     for each in tops:
         matrix = each.matrix_world.copy()
         matrix.translation += by
         each.matrix_world = matrix
     context.view_layer.update()
-    return len(chosen)
+    return len(moved), left
+
+
+def _kept_by(item: bpy.types.Object) -> str:
+    """Why an object would not stay where it is put, and what helps; "" where it would."""
+    if item.library is not None:
+        return "linked from another file and was not moved: make a library override of it"
+    if "location" in animated_paths(item):
+        return "animated and was not moved: move an empty that is its parent"
+    return ""
 
 
 def _has_ancestor(item: bpy.types.Object, among: set[bpy.types.Object]) -> bool:

@@ -28,6 +28,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import venv
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -38,6 +39,7 @@ STAMP = "physhdr-complete.json"
 #: What an environment is called: the beginning, digits of what is in it, and the end of the other name. On
 #: Windows as short as may be, for whole paths are limited there.
 PREFIX, DIGITS, OTHER = ("env-", 8, "-2") if os.name == "nt" else ("environment-", 12, "-anew")
+OURS = re.compile(f"{PREFIX}([0-9a-f]{{{DIGITS}}})({OTHER})?")
 #: Characters of the longest path within the packages' folder: a licence in torch 2.13.0+cu130.
 LONGEST_PATH = 173
 #: Characters of the longest path on Windows, unless LongPathsEnabled is set in its registry.
@@ -265,10 +267,20 @@ def remove(folder: Path) -> None:
 
 
 def remove_others(folder: Path) -> None:
-    """Remove all environments beside ``folder``."""
+    """Remove all environments of ours beside ``folder``."""
     for old in folder.parent.glob(PREFIX + "*"):
-        if old != folder:
+        if old != folder and made_here(old):
             remove(old)
+
+
+def made_here(folder: Path) -> bool:
+    """Whether an environment was made here: the user may have chosen a folder with others in it.
+
+    One that was not completed has no stamp, and is known by its name; a name of decimal digits alone can be
+    somebody's date, and wants the stamp.
+    """
+    found = OURS.fullmatch(folder.name)
+    return found is not None and (not found[1].isdecimal() or (folder / STAMP).exists())
 
 
 def refuse_what_windows_cannot(folder: Path, base: str) -> None:
@@ -290,7 +302,7 @@ def refuse_what_windows_cannot(folder: Path, base: str) -> None:
 
 def takes_long_paths(folder: Path) -> bool:
     """Whether paths can be longer than ``WINDOWS_PATH``: by trying, for Python, too, must allow it."""
-    probe = folder / "long-paths"
+    probe = Path(tempfile.mkdtemp(prefix="long-paths-", dir=folder))  # a new one: it is removed again
     try:
         (probe / ("x" * 150) / ("x" * 150)).mkdir(parents=True, exist_ok=True)
     except OSError:

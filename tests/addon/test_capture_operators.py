@@ -22,7 +22,7 @@ from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.blender import curves_of, to_matrix  # noqa: E402
 from physhdr.addon.capture import placement  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, origin  # noqa: E402
-from physhdr.addon.model.look import shown_shape  # noqa: E402
+from physhdr.addon.model.look import cleaning_of, kept_of, shown_shape  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute  # noqa: E402
 from physhdr.addon.operators import capture as operators  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
@@ -309,6 +309,73 @@ def test_a_model_that_hangs_on_a_later_one_is_scaled_once(registered, run, betwe
     bpy.context.view_layer.update()
     for each, was in before.items():
         np.testing.assert_allclose(each.matrix_world, np.diag([2.0, 2.0, 2.0, 1.0]) @ was, atol=CLOSE)
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_what_a_models_limits_hide_stays_the_same(registered, run, hangs):
+    """The crop box and the middle of the largest distance go along, each once."""
+    target = load(run[0])
+    modifier = nodes.find_modifier(target)
+    assert bpy.ops.physhdr.cleaning_box() == {"FINISHED"}
+    box, middle = nodes.get_input(modifier, nodes.CROP_BOX), bpy.data.objects.new("middle", None)
+    registered.collection.objects.link(middle)
+    middle.location = now(target, [[1.5, 2.0, 1.0]])[0]
+    nodes.set_input(modifier, nodes.DISTANCE_FROM, middle)
+    nodes.set_input(modifier, nodes.LARGEST_DISTANCE, 0.25)
+    if hangs:
+        box.parent = middle.parent = target
+    bpy.context.view_layer.update()
+    before = {each: np.array(each.matrix_world) for each in (box, middle)}
+    kept = kept_of(target.data, cleaning_of(target))
+    assert 0.2 < kept.mean() < 0.9
+    steps = (set_floor, set_scale, lambda _: bpy.ops.physhdr.capture_height(height=2.0, sets="GROUND"))
+    for step in (*steps, lambda _: bpy.ops.physhdr.capture_reset()):
+        step(target)
+        bpy.context.view_layer.update()
+        np.testing.assert_array_equal(kept_of(target.data, cleaning_of(target)), kept)
+    for each, was in before.items():
+        np.testing.assert_allclose(each.matrix_world, was, atol=2.0 * CLOSE)
+
+
+def test_what_is_no_mere_limit_of_a_model_stays_where_it_is(registered, run):
+    """The model is hidden far from the camera of the shot, and beside a figure's own empty."""
+    target = load(run[0])
+    modifier = nodes.find_modifier(target)
+    camera, figure, empty = (
+        bpy.data.objects.new("shot", bpy.data.cameras.new("shot")),
+        bpy.data.objects.new("figure", bpy.data.meshes.new("figure")),
+        bpy.data.objects.new("of the figure", None),
+    )
+    for each in (camera, figure, empty):
+        registered.collection.objects.link(each)
+        each.location = (1.0, 2.0, 3.0)
+    empty.parent = figure
+    bpy.context.view_layer.update()
+    nodes.set_input(modifier, nodes.DISTANCE_FROM, camera)
+    nodes.set_input(modifier, nodes.CROP_BOX, empty)
+    set_scale(target)
+    bpy.context.view_layer.update()
+    assert tuple(camera.location) == (1.0, 2.0, 3.0)
+    assert tuple(empty.matrix_world.translation) == (2.0, 4.0, 6.0)
+
+
+def test_a_crop_box_that_is_animated_is_named(registered, run):
+    """On the model, as is advised, it goes along in every frame."""
+    target = load(run[0])
+    bpy.ops.physhdr.cleaning_box()
+    box = bpy.data.objects["room crop"]
+    box.keyframe_insert("scale", frame=1)
+    given = {"first": (0, 0, 0), "second": (1, 0, 0), "distance": 2.0}
+    with pytest.raises(
+        RuntimeError, match=r"the scale of room crop is animated[\s\S]*parent it to the model"
+    ):
+        bpy.ops.physhdr.capture_scale(**given)
+    np.testing.assert_array_equal(np.array(target.matrix_world), np.eye(4))
+    kept = kept_of(target.data, cleaning_of(target))
+    box.parent = target
+    assert bpy.ops.physhdr.capture_scale(**given) == {"FINISHED"}
+    registered.frame_set(2)
+    np.testing.assert_array_equal(kept_of(target.data, cleaning_of(target)), kept)
 
 
 def test_a_linked_model_has_no_scale_of_its_own_here(registered, run, tmp_path):

@@ -9,6 +9,7 @@ small bright lamp. And the tool that measures a shadow takes no noise for one.
 import importlib.util
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from physhdr.addon.light import cg  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes  # noqa: E402
 from physhdr.addon.model.look import is_model  # noqa: E402
 from physhdr.addon.model.point_cloud import write_attribute  # noqa: E402
+from physhdr.addon.operators import cg as operators  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.model_file import Model  # noqa: E402
@@ -578,6 +580,43 @@ def test_selected_objects_stand_at_the_cursor(extension, capture):
     np.testing.assert_allclose(hat.matrix_world.translation, (0.7, -0.3, 0.54 + RADIUS), atol=1e-4)
     assert tuple(lamp.location) == (0.0, 0.0, 0.0)
     np.testing.assert_allclose(cg.ground_of(scene).location, (0.7, -0.3, 0.04), atol=1e-6)
+
+
+def test_what_would_not_stay_is_named_and_not_moved(extension, capture, tmp_path):
+    """The next frame gives an object its keyed place; that of a linked one is the other file's."""
+    scene = capture
+    theirs = add_ball(scene)
+    theirs.name = "theirs"
+    bpy.data.libraries.write(str(tmp_path / "theirs.blend"), {theirs})
+    bpy.data.objects.remove(theirs)
+    with bpy.data.libraries.load(str(tmp_path / "theirs.blend"), link=True) as (_, wanted):
+        wanted.objects = ["theirs"]
+    free, keyed, turning, linked = add_ball(scene), add_ball(scene), add_ball(scene), wanted.objects[0]
+    scene.collection.objects.link(linked)
+    keyed.name = "keyed"
+    keyed.location.x = free.location.x + 9.0
+    keyed.keyframe_insert("location", frame=1)
+    turning.keyframe_insert("rotation_euler", frame=1)
+    hat = add_ball(scene)
+    hat.parent = keyed
+    for each in (free, keyed, turning, linked, hat):
+        each.select_set(True)
+    before = [tuple(each.location) for each in (keyed, linked, hat)]
+    reports: list[tuple[set[str], str]] = []
+    asking = SimpleNamespace(
+        properties=SimpleNamespace(is_property_set=lambda _: True),
+        report=lambda kind, told: reports.append((kind, told)),
+        **{"location": (0.7, -0.3, 0.04), "floor": "PLACE", "size": 4.0, "thickness": 0.0, "stand": True},
+    )
+    assert operators.PHYSHDR_OT_cg_here.execute(asking, bpy.context) == {"FINISHED"}
+    scene.frame_set(2)
+    for each in (free, turning):
+        np.testing.assert_allclose(each.matrix_world.translation, (0.7, -0.3, 0.04 + RADIUS), atol=1e-4)
+    assert [tuple(each.location) for each in (keyed, linked, hat)] == before
+    ((kind, told),) = reports
+    assert kind == {"WARNING"} and "2 objects put onto it" in told
+    assert "keyed is animated and was not moved: move an empty that is its parent" in told
+    assert "theirs is linked from another file and was not moved" in told
 
 
 def test_without_a_model_nothing_is_set_up(extension):

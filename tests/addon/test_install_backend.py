@@ -585,6 +585,9 @@ def test_where_windows_paths_would_be_too_long_the_remedy_comes_before_the_downl
 
 def test_whether_paths_may_be_long_is_tried_and_nothing_stays(script, tmp_path, monkeypatch):
     assert script.takes_long_paths(tmp_path) and not list(tmp_path.iterdir())
+    (tmp_path / "long-paths").mkdir()  # of the user's
+    assert script.takes_long_paths(tmp_path) and [path.name for path in tmp_path.iterdir()] == ["long-paths"]
+    (tmp_path / "long-paths").rmdir()
     mkdir = os.mkdir
 
     def short(path, *mode):
@@ -602,6 +605,21 @@ def test_a_python_of_the_store_is_refused(script, tmp_path):
     with pytest.raises(script.InstallError, match="Microsoft's Store") as caught:
         script.refuse_what_windows_cannot(tmp_path / "env-01234567", base)
     assert "python.org" in caught.value.hint
+
+
+def test_only_environments_that_were_made_here_are_removed(script, tmp_path):
+    """The user may have chosen a folder in which others have theirs."""
+    whole, other = script.PREFIX + "0f" * (script.DIGITS // 2), script.OTHER
+    date = f"{script.PREFIX}{'20261127' * 2}"[: len(whole)]
+    unfinished = script.PREFIX + "ab" * (script.DIGITS // 2)
+    theirs = [f"{script.PREFIX}of-mine", f"{whole}.old", f"{whole}{other}{other}", whole[:-1], date]
+    for name in (whole, f"{whole}{other}", unfinished, f"{date}{other}", *theirs):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "thesis.txt").write_text("")
+    (tmp_path / f"{date}{other}" / script.STAMP).write_text("[]")
+    script.remove_others(tmp_path / whole)
+    assert {path.name for path in tmp_path.iterdir()} == {whole, *theirs}
+    assert all((tmp_path / name / "thesis.txt").exists() for name in theirs)
 
 
 def test_what_cannot_be_removed_whole_is_no_longer_complete(script, tmp_path, monkeypatch):

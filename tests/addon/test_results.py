@@ -300,6 +300,39 @@ def test_a_video_follows_the_scenes_camera_its_lens_and_the_sliders(extension, r
     assert calls(tmp_path)[-1][3] == str(run / "video_2.webp"), "an earlier one is not written over"
 
 
+def test_a_video_leaves_what_was_posed_without_keyframes(extension, run):
+    """A frame that is set gives everything its keyed value, and the scene the camera of a marker."""
+    scene, bound = bpy.context.scene, camera_that_moves()
+    scene.timeline_markers.new("cut", frame=1).camera = bound
+    ball = bpy.data.objects.new("ball", bpy.data.meshes.new("ball"))
+    mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+    rig = bpy.data.objects.new("rig", bpy.data.armatures.new("rig"))
+    for each in (ball, mine, rig):
+        scene.collection.objects.link(each)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    rig.data.edit_bones.new("a.b").tail = (0.0, 0.0, 1.0)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    paint = bpy.data.materials.new("paint").node_tree.nodes["Principled BSDF"].inputs["Roughness"]
+    ball['a "b".c'] = 1.5
+    bone, custom = rig.pose.bones["a.b"], '["a \\"b\\".c"]'
+    keyed = [(ball, "location"), (ball, custom), (ball, "rotation_mode"), (bone, "scale")]
+    for each, path in (*keyed, (paint, "default_value")):
+        each.keyframe_insert(path, frame=0)
+    ball.animation_data.action.layers[0].strips[0].channelbags[0].fcurves.new('modifiers["gone"].strength')
+    ball.location, ball['a "b".c'], ball.rotation_mode = (5.0, 5.0, 5.0), 2.5, "ZYX"
+    bone.scale, paint.default_value, scene.camera = (2.0, 2.0, 2.0), 0.75, mine
+    for _ in range(2):
+        assert bpy.ops.physhdr.results_video(format="WEBP") == {"FINISHED"}
+        bpy.context.view_layer.update()
+        assert tuple(ball.matrix_world.translation) == (5.0, 5.0, 5.0)
+        assert (ball['a "b".c'], ball.rotation_mode, paint.default_value) == (2.5, "ZYX", 0.75)
+        assert tuple(bone.scale) == (2.0, 2.0, 2.0)
+        assert (scene.frame_current, scene.camera) == (2, mine)
+    scene.frame_set(3)  # the keyframes are there all the same
+    assert tuple(ball.location) == (0.0, 0.0, 0.0) and scene.camera == bound
+
+
 @pytest.mark.parametrize(
     ("format", "given", "written"),
     [
