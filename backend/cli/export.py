@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr export``: the model file for Blender and the two PLY files, or a web page."""
 
+import stat
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import tyro
 
+from ...bridge.atomic import patiently
 from ...bridge.camera_list import refuse_others, write_camera_list
 from ...bridge.display import FITTED_COMMENT, display_colour_sh, look_comment, look_words
-from ...bridge.errors import BadValueError
+from ...bridge.errors import BadValueError, OutputError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import write_model
+from ...bridge.ply_model import PROVENANCE
 from ..export import BAKED_FILE, CAMERAS_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import confidence_column, network_comments, parameter_columns
 from ..export.fitted_bake import fitted_colour_sh, method_picture
@@ -26,6 +30,8 @@ from .web import export_web
 
 #: Said of a model whose training pictures have gone.
 NO_CONFIDENCE = "without confidence, for the training pictures are not there (--data)"
+#: Of a PLY file, among the first bytes of whose header an export has written where it comes from.
+HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True)
@@ -74,10 +80,13 @@ class Export:
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.folder)
         refuse_others(out / CAMERAS_FILE)
+        former = _former(out)
         method = run.on_gaussians()
         with progress("confidence", "view", as_json=False) as show:
             model = run.model(show)
         write_model(out / MODEL_FILE, model)
+        for path in former:  # they are of another model, whatever comes of the new ones
+            _remove(path)
         without = "" if model.confidence is not None else f"; {NO_CONFIDENCE}"
         console.print(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender{without}")
 
@@ -102,7 +111,7 @@ class Export:
             "opacities": model.opacity,
             "colour_sh": colours,
         }
-        comments = [f"PhysHDR {key}: {value}" for key, value in run.provenance.items()]
+        comments = [f"{PROVENANCE}{key}: {value}" for key, value in run.provenance.items()]
         comments.append(look_comment(ev, levels, "LEARNED", model.lights))
         comments += [] if self.quick else [FITTED_COMMENT]
         write_standard_ply(out / BAKED_FILE, **standard, comments=comments)
@@ -130,3 +139,37 @@ class Export:
                 "Leave it out, or leave --web out.",
             )
         return export_web(self.folder, out, self.single_file, self.data, self.json)
+
+
+def _former(out: Path) -> list[Path]:
+    """The PLY files that an export left in ``out``; raises ``OutputError`` where one is not of any."""
+    former = []
+    for path in (out / BAKED_FILE, out / LOSSLESS_FILE):
+        try:
+            head = _head(path) if stat.S_ISREG(path.stat().st_mode) else b""
+        except FileNotFoundError:
+            continue
+        except OSError:  # what cannot be read is not replaced
+            head = b""
+        if f"\ncomment {PROVENANCE}".encode() not in head:
+            raise OutputError(
+                f"{path} is there, and 'physhdr export' did not write it",
+                "Name another folder by --out, or move it away.",
+            )
+        former.append(path)
+    return former
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(HEAD_BYTES)
+
+
+def _remove(path: Path) -> None:
+    try:
+        patiently(partial(path.unlink, missing_ok=True))
+    except OSError as error:
+        raise OutputError(
+            f"cannot replace {path}, which is of another model: {error.strerror or error}",
+            "Close the program that has it open, or remove it, and export again.",
+        ) from error

@@ -41,6 +41,7 @@ from ..scene.capture.structure import (
 from ..scene.capture.understanding import Understanding, understand
 from ..scene.lens import Lens, lenses_by_size
 from ..shell import as_word
+from .given import given_of
 from .told import answered, line
 
 #: Of each ISO so many raw files tell the noise, where they do not say it.
@@ -121,6 +122,8 @@ class Prepare:
         assert folder is not None
         if self.handheld and not understood.is_handheld:
             voice.warn("there are no brackets that could be hand-held: --handheld changes nothing")
+        if self.borrow_poses and not self.handheld:
+            voice.warn("--borrow-poses is of hand-held brackets: without --handheld it changes nothing")
         require_pycolmap()
         _catch_signals()  # again: glog, which comes with it, took SIGTERM for a crash
         with new_folder(folder, self.overwrite) as made, voice:
@@ -140,6 +143,7 @@ class Prepare:
                 f"every {self.test_every}-th pose cannot be kept for the test",
                 "Give 2 or more, or 0 for none.",
             )
+        self._check_together()
         folder = self.out or self.data
         if self.look:
             return folder
@@ -154,6 +158,22 @@ class Prepare:
         if out == photos or out in photos.parents:
             raise OutputError(f"{folder} holds the photos", "Give another folder for the data set.")
         return folder
+
+    def _check_together(self) -> None:
+        """Raises ``BadValueError`` for options of which one would say nothing beside the other."""
+        if self.exposures is not None and self.same_exposure:
+            raise BadValueError(
+                "--exposures and --same-exposure say two things of the photos", "Leave one of them out."
+            )
+        if self.bracket is not None and self.group in ("none", "names"):
+            raise BadValueError(
+                f"--bracket {self.bracket} changes nothing about --group {self.group}",
+                "Leave one of them out.",
+            )
+        if self.poses is not None and (given := given_of(self, "match", "camera")):
+            raise BadValueError(
+                f"--{given[0]} is of how cameras are found, and --poses has them", "Leave one of them out."
+            )
 
     def _make(self, understood: Understanding, folder: Path, voice: "Voice") -> dict[str, Any]:
         """Fill ``folder``, which has room for others beside it; what there is to tell, for programs."""
@@ -300,6 +320,7 @@ def _looked_at(
     """
     qualities: dict[str, Quality] = {}
     damaged: list[Skipped] = []
+    hidden: list[str] = []
     photos = understood.brackets.photos
     stages.begin("looking", "looking at the photos")
     for done, photo in enumerate(photos):
@@ -309,7 +330,11 @@ def _looked_at(
         except FileDamagedError as error:
             damaged.append(Skipped(photo.name, error.message.removeprefix(f"{photo.path} ")))
         else:
-            photo.keep()
+            keep = photo.keep()
+            if keep is not None and not keep.any():
+                hidden.append(photo.name)
+    if hidden:
+        voice.warn(f"nothing is looked at of photos whose masks are black all over: {some_names(hidden)}")
     if damaged:
         understood = understood.without(damaged)
         for each in damaged:

@@ -60,6 +60,12 @@ def camera_named(scene: Scene, name: str | None) -> Camera:
     return scene.find(split, int(index)).camera
 
 
+def shots_in(scene: Scene, file: Path, prim: str | None, space: Path | None, fewest: int = 1) -> Shots:
+    """The frames of a file of cameras in the scene's world; arguments and errors as ``read_camera_file``."""
+    poses = scene.root / nerfstudio.LOOKS_FOR if scene.layout == nerfstudio.NAME else None
+    return read_camera_file(file, camera_named(scene, None), prim, space, fewest, poses)
+
+
 @dataclass(frozen=True)
 class Render:
     """Render a camera of the data set at any exposure and lighting level, or all that are evaluated.
@@ -192,9 +198,7 @@ class Render:
         model = model_digest(self.folder)
         run = self._opened()
         require_model(self.folder, model)
-        like = camera_named(run.scene, None)
-        poses = run.scene.root / nerfstudio.LOOKS_FOR if run.scene.layout == nerfstudio.NAME else None
-        shots = read_camera_file(file, like, self.camera_prim, self.camera_space, poses=poses)
+        shots = shots_in(run.scene, file, self.camera_prim, self.camera_space)
         frames = self._frames(run, shots)
         if len(frames) == 1 and "#" not in self.out.name:
             draw(run, frames[0], self._sure(run))

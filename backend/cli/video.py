@@ -16,7 +16,6 @@ from ...bridge.errors import BadValueError
 from ...bridge.limits import EXPOSURE, LEVEL
 from ...bridge.shots import Shots
 from ..device import DeviceName
-from ..evaluate.camera_file import read_camera_file
 from ..evaluate.camera_path import camera_of, levels_of, orbit_path, spline_path
 from ..evaluate.renderer import Renderer
 from ..evaluate.sheets import as_picture
@@ -27,7 +26,7 @@ from ..runs.run import open_run
 from ..scene import Camera, Scene
 from .given import given_of
 from .lighting import levels_asked
-from .render import camera_named
+from .render import camera_named, shots_in
 from .told import answered, progress, saying
 
 #: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
@@ -65,6 +64,10 @@ class Video:
     #: (docs/formats.md), instead of a path and a sweep; its size and its frames a second are the video's.
     #: Or a path of nerfstudio's viewer (JSON), or a USD camera.
     shots: Path | None = None
+    #: Which of a USD file's cameras, by its path or name; it may have one alone.
+    camera_prim: str | None = None
+    #: dataparser_transforms.json of the nerfstudio training whose viewer made the path: its world is another.
+    camera_space: Path | None = None
     #: What changes: exposure from the shortest to the longest and back, one light's level, or both: exposure
     #: in the first half, light in the second, each from where it stands to both ends and back.
     sweep: Literal["none", "exposure", "lighting", "both"] = "none"
@@ -97,8 +100,7 @@ class Video:
         self._check()
         say = saying(self.json)
         run = open_run(self.folder, self.data, self.rasteriser, self.device, say, pictures=False)
-        like = camera_named(run.scene, None)
-        shots = None if self.shots is None else read_camera_file(self.shots, like, fewest=2)
+        shots = self.shots_of(run.scene)
         frames = self.plan(run.scene, run.method, shots)
         # As it is: 24 / 1.001 is no whole number, nor is what is left where Blender renders each tenth frame.
         told = Fraction(self.fps if shots is None else shots.fps)
@@ -149,6 +151,8 @@ class Video:
             for number, end in enumerate(self.sweep_range):
                 is_level = self.sweep == "lighting" or number >= 2
                 (LEVEL if is_level else EXPOSURE).check(end, "an end of --sweep-range")
+        if self.shots is None and (given := given_of(self, "camera_prim", "camera_space")):
+            raise BadValueError(f"--{given[0]} only works with --shots FILE", "Leave it out, or give a file.")
         if self.shots is not None and (self.path is not None or self.sweep != "none" or self.lighting_levels):
             raise BadValueError(
                 "--shots has every frame's camera and light",
@@ -173,6 +177,12 @@ class Video:
     def _count(self) -> int:
         """How many frames there are, but of shots."""
         return round(self.seconds * self.fps)
+
+    def shots_of(self, scene: Scene) -> Shots | None:
+        """The file's frames in the scene's world; None without a file."""
+        if self.shots is None:
+            return None
+        return shots_in(scene, self.shots, self.camera_prim, self.camera_space, fewest=2)
 
     def plan(self, scene: Scene, method: Renderer, shots: Shots | None = None) -> list[Frame]:
         """Every frame, of ``shots`` where there are any.

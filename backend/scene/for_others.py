@@ -95,6 +95,11 @@ def lay_out(
             "radiance and linear pictures were developed by the sRGB curve and clip at 1: choose exposures "
             "by that"
         )
+    if all(picture.split == data_set.TRAIN for picture in chosen):
+        said.messages.append(
+            "no view is held out: nerfstudio then splits by itself; --eval-mode all trains on all of them, "
+            "which fewer than ten pictures need"
+        )
     masked = any(_may_mask(p.view.sources[p.k]) and p.view.mask(p.k) is not None for p in chosen)
     names: dict[_Picture, str] = {}
     for done, picture in enumerate(chosen):
@@ -280,7 +285,8 @@ def _write_nerfstudio(scene: Scene, folder: Path, names: Mapping[_Picture, str],
     if scene.points is not None:
         write_points(folder / NERFSTUDIO_POINTS, scene.points)
         content["ply_file_path"] = NERFSTUDIO_POINTS
-    content |= {f"{split}_filenames": listed for split, listed in lists.items()}
+    if lists[data_set.VALIDATION]:  # nerfstudio takes an empty list literally, and then fails in training
+        content |= {f"{split}_filenames": listed for split, listed in lists.items()}
     _write_json(folder / "transforms.json", content | {"frames": frames})
 
 
@@ -304,6 +310,8 @@ def _write_colmap(scene: Scene, folder: Path, names: Mapping[_Picture, str], how
     write_pinholes(folder / "sparse" / "0", cameras, scene.points)
     exposures = {name: picture.view.exposures[picture.k] for picture, name in names.items()}
     _write_json(folder / data_set.EXPOSURE_FILE, exposures)
+    if all(picture.split == data_set.TRAIN for picture in names):
+        return  # as in transforms.json: no lists rather than empty ones
     for split, of in (("train", data_set.TRAIN), ("val", data_set.TEST), ("test", data_set.TEST)):
         listed = [name for picture, name in names.items() if picture.is_main and picture.split == of]
         (folder / f"{split}_list.txt").write_text("".join(f"{name}\n" for name in listed), encoding="utf-8")

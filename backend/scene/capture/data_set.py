@@ -7,6 +7,7 @@ one image for each pose, named as its picture k = 0, and ``prepare.json``: where
 """
 
 import json
+import math
 import os
 import re
 import secrets
@@ -209,13 +210,20 @@ def write_data_set(
     names: dict[int, str] = {}
     total = len(structure.registered) * len(k_of)
     written = 0
+    # Of each place, not pose: of a hand-held bracket each photo is a pose.
+    place_of = brackets.place_of
+    shortest: dict[int, float] = {}
+    for number in structure.registered:
+        place = place_of[number]
+        shortest[place] = min(shortest.get(place, math.inf), *brackets.poses[number].seconds)
     # By camera: a lens keeps what it needs for one picture after the other.
     for number, pose in sorted(structure.registered.items(), key=lambda item: (item[1].camera, item[0])):
         bracket = brackets.poses[number]
         stem = f"{'test' if number in test else 'train'}_{number:03d}"
         for k, photo, seconds in zip(k_of, bracket.photos, bracket.seconds, strict=True):
             name = f"{stem}_{k}.png"
-            _write_picture(folder, name, photo, lenses[pose.camera], shorter=photo is not bracket.photos[0])
+            shorter = seconds > shortest[place_of[number]]
+            _write_picture(folder, name, photo, lenses[pose.camera], shorter)
             exposures[name], sources[name] = seconds, photo.name
             written += 1
             done(written, total)

@@ -195,7 +195,7 @@ class Photo:
         else:
             unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
             with unreadable, open_with_pillow(self.mask, PILLOW) as picture:
-                shades = _upright(picture, "L", orientation_of(tags_of(picture)))
+                shades = _upright(picture, "RGB", orientation_of(tags_of(picture))).max(axis=2)
         self._require_size(shades.shape[1], shades.shape[0])
         return is_white(shades, LARGEST[shades.dtype])
 

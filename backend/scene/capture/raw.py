@@ -2,7 +2,8 @@
 """Raw files developed without a look (LibRaw, through rawpy): scene-linear pictures that clip at exactly 1.
 
 A sensor counts light, so its response is known: black level off, divided by the white level, times the white
-balance. rawpy is optional (the extra ``prepare``) and is imported only here.
+balance. Where the file tells that the sensor is full below that level, what is full becomes 1 all the same.
+rawpy is optional (the extra ``prepare``) and is imported only here.
 """
 
 import math
@@ -19,7 +20,7 @@ import numpy as np
 from ....bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ...shell import pip_install
 from ..exif import LYING, Exif, Tags, exposure_of, tags_of_tiff
-from .noise import Noise, planes_of_mosaic
+from .noise import BRIGHTEST, Noise, planes_of_mosaic
 from .remedies import COPY_AGAIN
 
 #: What LibRaw opens, by suffix: https://www.libraw.org/supported-cameras
@@ -30,6 +31,8 @@ SUFFIXES = (
 )
 #: The code of 16 bits at which the sensor is full.
 FULL = 65535
+#: No sensor is full so far below its white level: a file that tells less counts in another unit.
+LEAST_FULL = 0.5
 #: EXIF's orientation by LibRaw's: 180°, 90° against and with the clock; any other is upright.
 ORIENTATIONS = {3: 3, 5: 8, 6: 6}
 #: DNG 1.4: (slope, offset) of the noise's variance, once for all channels or for each.
@@ -164,8 +167,9 @@ def develop(path: Path, white_balance: Sequence[float], half: bool = False) -> D
 def _balanced(raw: Any, white_balance: Sequence[float], half: bool) -> np.ndarray:
     """``[H, W, 3]`` float32, 0…1: linear values of the camera's own primaries."""
     rawpy = require_rawpy()
+    balance, share = np.array(white_balance, np.float32), _full_share(raw)
     if raw.raw_type == rawpy.RawType.Stack:
-        picture = _scaled(raw, np.array(white_balance, np.float32))
+        picture = _full_is_one(_scaled(raw, balance), balance, share)
         return _halved(picture) if half else picture
     codes = raw.postprocess(
         demosaic_algorithm=rawpy.DemosaicAlgorithm.AHD,
@@ -178,7 +182,27 @@ def _balanced(raw: Any, white_balance: Sequence[float], half: bool) -> np.ndarra
         adjust_maximum_thr=0.0,  # else the brightest pixel counts as white where it is near
         highlight_mode=rawpy.HighlightMode.Clip,
     )
-    return codes.astype(np.float32) / FULL
+    return _full_is_one(codes.astype(np.float32) / FULL, balance, share)
+
+
+def _full_share(raw: Any) -> float:
+    """Where the sensor is full between black (0) and white level (1), as far as the file tells it.
+
+    LibRaw's white level is a table's, and too high for some cameras or at some ISO (rawpy #122, rawtoaces
+    #320). It stays what all is divided by, so that photos of several ISO can be compared.
+    """
+    told = [float(level) for level in raw.camera_white_level_per_channel or () if level > 0]
+    black, white = float(max(raw.black_level_per_channel)), float(raw.white_level)
+    share = (min(told) - black) / (white - black) if told and white > black else 1.0
+    return share if LEAST_FULL <= share < 1.0 else 1.0
+
+
+def _full_is_one(picture: np.ndarray, white_balance: np.ndarray, share: float) -> np.ndarray:
+    """``[H, W, 3]`` with 1 where the sensor is full: at ``share``, times the channel's white balance."""
+    if share == 1.0:
+        return picture
+    limits = (white_balance / white_balance.min() * share).clip(max=1.0) - 2.0 / FULL
+    return np.where(picture >= limits, np.float32(1.0), picture)
 
 
 def _scaled(raw: Any, white_balance: np.ndarray) -> np.ndarray:
@@ -228,6 +252,7 @@ def _noise_profile(tags: Tags) -> Noise | None:
 def photosites(path: Path) -> list[np.ndarray]:
     """What the sensor saw, 0…1 between black and white level, a picture ``[h, w]`` for each of its colours.
 
+    1 where it is nearly full, too, if it is full below white level: of what is cut off there nothing is told.
     [] of files that are not a mosaic any more: their noise was smoothed. Raises ``FileDamagedError``.
     """
     rawpy = require_rawpy()
@@ -235,4 +260,7 @@ def photosites(path: Path) -> list[np.ndarray]:
         if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None or raw.raw_pattern.shape != (2, 2):
             return []
         black = np.array(raw.black_level_per_channel, np.float32)[raw.raw_pattern]
-        return planes_of_mosaic(raw.raw_image_visible, black, float(raw.white_level))
+        planes = planes_of_mosaic(raw.raw_image_visible, black, float(raw.white_level))
+        if (share := _full_share(raw)) == 1.0:
+            return planes
+        return [np.where(plane >= BRIGHTEST * share, np.float32(1.0), plane) for plane in planes]

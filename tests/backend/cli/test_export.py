@@ -32,10 +32,11 @@ def test_an_exposure_beyond_all_pictures_is_refused(tmp_path: Path, exposure_ev:
         Export(tmp_path, exposure_ev=exposure_ev).run()
 
 
-@pytest.fixture
-def photographs(tmp_path, layouts):
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory, layouts):
     """A run of 20 iterations on photographs of 1/250, 1/60 and 1/15 s."""
-    data = layouts.write_colmap(tmp_path / "data", exif=False)
+    folder = tmp_path_factory.mktemp("photographs")
+    data = layouts.write_colmap(folder / "data", exif=False)
     names = sorted((data / "images").iterdir())
     seconds = (1 / 250, 1 / 60, 1 / 15)
     (data / "exposure.json").write_text(
@@ -51,8 +52,8 @@ def photographs(tmp_path, layouts):
         "--random-points",
         "200",
     ]
-    assert main(["train", str(data), "--out", str(tmp_path / "run"), *options]) == 0
-    return tmp_path / "run"
+    assert main(["train", str(data), "--out", str(folder / "run"), *options]) == 0
+    return folder / "run"
 
 
 def colours(path: Path) -> np.ndarray:
@@ -73,3 +74,43 @@ def test_files_for_viewers_are_as_bright_as_the_photographs(photographs: Path, t
         np.testing.assert_allclose(colours(path), expected, atol=2e-3)
     assert main(["convert", str(photographs), str(tmp_path / "2s.ply"), "--quick", "--exposure-ev", "1"]) == 0
     assert np.abs(colours(tmp_path / "2s.ply") - expected).mean() > 0.1
+
+
+@pytest.mark.parametrize("name", ["baked.ply", "lossless.ply"])
+def test_somebodys_own_file_is_not_replaced(photographs: Path, tmp_path: Path, name: str, capsys) -> None:
+    """Before anything is written; a folder of that name is no file of ours either."""
+    (out := tmp_path / "out").mkdir()
+    theirs = b"ply\nformat ascii 1.0\ncomment PhysHDRs friend\nelement vertex 0\nend_header\n"
+    (out / name).write_bytes(theirs)
+    assert main(["export", str(photographs), "--quick", "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert f"{name} is there, and 'physhdr export' did not write it" in said and "--out" in said
+    assert (out / name).read_bytes() == theirs and [path.name for path in out.iterdir()] == [name]
+    (out / name).unlink()
+    (out / name).mkdir()
+    assert main(["export", str(photographs), "--quick", "--out", str(out)]) == 1
+    assert [path.name for path in out.iterdir()] == [name]
+
+
+def test_nothing_of_an_earlier_export_stays_beside_the_new_model(
+    photographs: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    """Neither where it is stopped while colours are fitted, nor where the new run has no lossless file."""
+    out, both = tmp_path / "out", ["cameras.json", "model.safetensors"]
+    words = ["export", str(photographs), "--quick", "--out", str(out)]
+    for _ in range(2):
+        assert main(words) == 0
+        assert sorted(path.name for path in out.iterdir()) == ["baked.ply", both[0], "lossless.ply", both[1]]
+    with monkeypatch.context() as patch:
+        patch.setattr("physhdr.backend.cli.export.Gaussians", int)  # as if the run had anchors
+        assert main(words) == 0
+    assert "no lossless.ply" in capsys.readouterr().out
+    assert sorted(path.name for path in out.iterdir()) == ["baked.ply", *both]
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("physhdr.backend.cli.export.fitted_colour_sh", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        Export(photographs, out=out).run()
+    assert sorted(path.name for path in out.iterdir()) == both

@@ -239,6 +239,11 @@ def test_a_reconstruction_of_other_pictures(prepared, photos, tmp_path):
     assert f"places 0 of the {POSES} poses" in message and "DSC_9998.jpg" in message
 
 
+def stopped(*_):
+    """In COLMAP's place."""
+    raise structure.StructureError("COLMAP would run", "It need not.")
+
+
 def tiny(room, folder, count=6, evs=(0, 2)):
     """Grey photos that only the first steps look at."""
     folder.mkdir()
@@ -267,6 +272,31 @@ def test_what_can_be_wrong_with_photos_and_options(room, tmp_path):
     (photos / "IMG_9.png").unlink()
     assert {path.name: path.read_bytes() for path in photos.iterdir()} == before
     assert not out.exists() and not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--exposures", "a.csv", "--same-exposure"], "--exposures and --same-exposure say two things"),
+        (["--group", "none", "--bracket", 3], "--bracket 3 changes nothing about --group none"),
+        (["--group", "names", "--bracket", 2], "--bracket 2 changes nothing about --group names"),
+        (["--poses", "model", "--match", "each"], "--match is of how cameras are found"),
+        (["--poses", "model", "--camera", "RADIAL"], "--camera is of how cameras are found"),
+    ],
+)
+@pytest.mark.parametrize("look", [[], ["--look"]])
+def test_options_that_say_nothing_together(tmp_path, words, message, look):
+    """Said before a photo is looked for, and at a look as well."""
+    assert message in refused(tmp_path / "nowhere", tmp_path / "out", *words, *look)
+
+
+def test_what_the_panel_sends_together_is_no_error(room, tmp_path, monkeypatch, capsys):
+    """It sends the lens always, and its settings stay as they were: Borrow Places without Hand-Held."""
+    monkeypatch.setattr("physhdr.backend.cli.prepare.recover", stopped)
+    photos = tiny(room, tmp_path / "photos")
+    words = ["--bracket", 2, "--max-width", 1600, "--camera", "OPENCV", "--borrow-poses", "--partial"]
+    assert "COLMAP would run" in refused(photos, tmp_path / "out", *words)
+    assert "without --handheld it changes nothing" in " ".join(capsys.readouterr().out.split())
 
 
 def test_what_is_there_is_not_replaced_unasked(room, tmp_path):
@@ -558,6 +588,19 @@ def test_a_mask_that_does_not_fit_or_is_damaged_costs_no_hours(room, tmp_path, m
     mask.write_bytes(mask.read_bytes()[:150])
     assert "IMG_0.png is not a readable mask" in refused(photos, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_masks_that_hide_everything_are_told(room, tmp_path, monkeypatch, capsys):
+    """COLMAP finds nothing there, and would speak of texture."""
+    photos = tiny(room, tmp_path / "photos")
+    (photos / "masks").mkdir()
+    for name, shade in (("IMG_0", 127), ("IMG_1", 0), ("IMG_2", 255)):
+        Image.new("L", (16, 12), shade).save(photos / "masks" / f"{name}.png")
+    monkeypatch.setattr("physhdr.backend.cli.prepare.recover", stopped)
+    refused(photos, "--out", tmp_path / "out")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nothing is looked at of photos whose masks are black all over: IMG_0.jpg, IMG_1.jpg" in said
+    assert "IMG_2.jpg" not in said
 
 
 def test_where_each_place_has_a_damaged_photo_they_are_named(room, tmp_path):

@@ -9,15 +9,20 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from physhdr.backend.cli.render import shots_in
+from physhdr.backend.cli.video import Video
 from physhdr.backend.evaluate.camera_file import read_camera_file
 from physhdr.backend.evaluate.camera_path import camera_of
 from physhdr.backend.optional import PackageMissingError
+from physhdr.backend.scene import Scene, read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 from physhdr.bridge.shots import Shot, Shots, write_shots
@@ -125,6 +130,37 @@ def test_what_ns_process_data_did_before_stays(tmp_path: Path) -> None:
         read_camera_file(file, LIKE, space=space, poses=poses)
 
 
+def filmed(scene: Scene, **options) -> list[Camera]:
+    """The cameras of ``physhdr video``'s frames."""
+    video = Video(Path("run"), out=Path("a.mp4"), **options)
+    video._check()
+    frames = video.plan(scene, SimpleNamespace(lights=("ambient",)), video.shots_of(scene))
+    return [frame.camera for frame in frames]
+
+
+def test_a_video_along_it_is_in_the_world_of_the_run(data_set: Path, tmp_path: Path) -> None:
+    """As a render: what nerfstudio's training did is taken back, what ns-process-data did stays."""
+    orient, applied = np.eye(4), np.eye(4)
+    orient[:3] = np.column_stack([Rotation.from_euler("z", 0.7).as_matrix(), [-0.5, 0.0, 0.25]])
+    applied[:3] = [[1, 0, 0, 0.1], [0, 0, 1, 0.2], [0, -1, 0, 0.3]]
+    frames = []
+    for k in range(3):
+        there = orient @ pose(k)
+        there[:3, 3] *= 0.4
+        frames.append({"camera_to_world": there.ravel().tolist(), "fov": 50.0})
+    file = nerfstudio_path(tmp_path / "path.json", camera_path=frames)
+    space = tmp_path / "dataparser_transforms.json"
+    space.write_text(json.dumps({"transform": (orient @ applied)[:3].tolist(), "scale": 0.4 * 2.5}))
+    told = {"applied_transform": applied[:3].tolist(), "applied_scale": 2.5}
+    (tmp_path / "transforms.json").write_text(json.dumps(told))
+    scene = replace(read_scene(data_set), layout="nerfstudio", root=tmp_path)
+    drawn = shots_in(scene, file, None, space)
+    for k, camera in enumerate(filmed(scene, shots=file, camera_space=space)):
+        np.testing.assert_allclose(camera.camera_to_world, pose(k), atol=1e-12)
+        np.testing.assert_array_equal(camera.camera_to_world, drawn.frames[k].camera_to_world)
+        assert (camera.width, camera.fx) == (drawn.width, drawn.frames[k].fx)
+
+
 def test_blenders_shots_may_be_one(tmp_path: Path) -> None:
     write_shots(
         tmp_path / "a.json", Shots(64, 48, 24.0, [Shot(pose(1), 60.0, 61.0, 32.0, 24.0, 1.0, (0.5,))])
@@ -205,6 +241,21 @@ def test_which_of_a_stages_cameras(tmp_path: Path) -> None:
         assert len(read_camera_file(tmp_path / "a.usda", LIKE, prim).frames) == 3
     with pytest.raises(BadValueError, match="no cameras 'none'"):
         read_camera_file(tmp_path / "a.usda", LIKE, "none")
+
+
+def test_a_video_takes_one_of_a_stages_cameras(data_set: Path, tmp_path: Path) -> None:
+    stage, _ = stage_with_a_camera(tmp_path / "a.usda", "Z", 1.0)
+    from pxr import UsdGeom
+
+    UsdGeom.Camera.Define(stage, "/other")
+    stage.GetRootLayer().Save()
+    scene = read_scene(data_set)
+    with pytest.raises(BadValueError, match="--camera-prim"):
+        filmed(scene, shots=tmp_path / "a.usda")
+    found = filmed(scene, shots=tmp_path / "a.usda", camera_prim="/rig/camera")
+    assert len({camera.camera_to_world.tobytes() for camera in found}) == 3
+    still = filmed(scene, shots=tmp_path / "a.usda", camera_prim="other")
+    assert len({camera.camera_to_world.tobytes() for camera in still}) == 1
 
 
 def test_stages_that_have_no_path(tmp_path: Path) -> None:

@@ -168,6 +168,8 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
         ({"sweep": "both", "sweep_range": (1.0, 2.0)}, r"1 2 with --sweep both[\s\S]*four"),
         ({"sweep": "exposure", "sweep_range": (1.0, 2.0, 1.0, 2.0)}, "1 2 1 2 with --sweep exposure"),
         ({"light": "lamp"}, "--light names what"),
+        ({"camera_prim": "camera"}, "--camera-prim only works with --shots"),
+        ({"camera_space": Path("d.json")}, "--camera-space only works with --shots"),
         ({"shots": Path("s.json"), "seconds": 2.0}, "--seconds: --shots has"),
         ({"shots": Path("s.json"), "fps": 12}, "--fps: --shots has"),
         ({"shots": Path("s.json"), "view": "test/1"}, "--view is where a still camera stands"),

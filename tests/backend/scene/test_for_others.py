@@ -127,6 +127,24 @@ def test_validation_views_are_nerfstudios(validation_data: Path, tmp_path: Path)
     assert not list((run(validation_data, tmp_path / "c", "colmap") / "images").glob("val*"))
 
 
+def test_without_a_view_that_is_held_out_nerfstudio_splits(tiny_data: Path, tmp_path: Path) -> None:
+    """It takes lists that are there literally: of no test views none could be looked at while it trains."""
+    whole = read_scene(tiny_data)
+    for layout in ("nerfstudio", "colmap"):
+        for name, scene in (("whole", whole), ("all", replace(whole, test=[]))):
+            (out := tmp_path / layout / name).mkdir(parents=True)
+            said = lay_out(scene, out, How(layout=layout))
+            if layout == "nerfstudio":
+                lists = [
+                    key for key in json.loads((out / "transforms.json").read_text()) if "filenames" in key
+                ]
+            else:
+                lists = [path.name for path in out.glob("*_list.txt")]
+                assert len(read_scene(out).test) == len(scene.test), "by names"
+            told = [line for line in said.messages if "--eval-mode all" in line]
+            assert (len(lists), len(told)) == ((3, 0) if name == "whole" else (0, 1))
+
+
 def test_pictures_are_linked_copied_or_made(tiny_data: Path, tmp_path: Path, layouts) -> None:
     linked = run(tiny_data, tmp_path / "linked", "nerfstudio", "--link") / "images" / "train_001.png"
     assert linked.samefile(tiny_data / "train" / "r_1_2.png"), "one file, where one disk has both"

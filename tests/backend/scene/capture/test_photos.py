@@ -18,6 +18,7 @@ from PIL import ExifTags, Image, ImageOps
 from physhdr.backend.scene import pictures
 from physhdr.backend.scene.capture.exposures import exposures_from_exif, exposures_from_file
 from physhdr.backend.scene.capture.photos import find_photos, natural_order
+from physhdr.backend.scene.source import is_white
 from physhdr.bridge.errors import PhysHDRError
 
 GREY = np.full((20, 30, 3), 90, np.uint8)
@@ -94,9 +95,8 @@ def test_photos_and_masks_lie_upright_as_pillow_turns_them(room, tmp_path, suffi
         np.testing.assert_array_equal(photo.decode(), upright)
     assert (photo.width, photo.height) == upright.size and photo.orientation == orientation
     with Image.open(tmp_path / "masks" / "a.png") as picture:
-        np.testing.assert_array_equal(
-            photo.keep(), np.asarray(ImageOps.exif_transpose(picture.convert("L"))) >= 128
-        )
+        shades = np.asarray(ImageOps.exif_transpose(picture)).max(axis=2)
+        np.testing.assert_array_equal(photo.keep(), shades >= 128)
 
 
 def test_a_photo_whose_tags_cannot_be_written_again_is_sound(tmp_path):
@@ -512,6 +512,23 @@ def test_masks_of_sixteen_bits_are_white_from_the_middle_on(room, tmp_path):
     whole = photo.mask.read_bytes()
     photo.mask.write_bytes(whole[: len(whole) // 2])
     assert "a.png" in (message := refused(photo.keep)) and "Copy it again" in message
+
+
+@pytest.mark.parametrize("is_palette", [False, True])
+def test_coloured_masks_are_as_white_as_in_a_data_set(room, tmp_path, is_palette):
+    """By their brightest channel: red, and the dark red of the first label, which are dark as greys."""
+    (tmp_path / "masks").mkdir()
+    room.write_photo(tmp_path / "a.jpg", GREY)
+    labels = np.zeros((20, 30), np.uint8)
+    labels[5:, 10:] = 1
+    picture = Image.fromarray(np.stack([255 * labels, 0 * labels, 0 * labels], axis=2))
+    if is_palette:
+        picture = Image.fromarray(labels).convert("P")
+        picture.putpalette([0, 0, 0, 128, 0, 0])
+    picture.save(path := tmp_path / "masks" / "a.png")
+    keep = find_photos(tmp_path).photos[0].keep()
+    np.testing.assert_array_equal(keep, labels == 1)
+    np.testing.assert_array_equal(keep, is_white(pictures.read_codes(path)[0].max(axis=2), 255))
 
 
 # ---- exposures of phones and drones --------------------------------------------------------------------
