@@ -14,6 +14,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -416,11 +417,11 @@ def data_fingerprint(root: Path, kind: str = REPORT) -> str:
     """
     if kind == TUNE:
         tops = [root / name for name in names_without_test(root)]
-        files = sorted(path for top in tops for path in (top.rglob("*") if top.is_dir() else [top]))
+        files = [path for top in tops for path in (_files_below(top) if top.is_dir() else [top])]
     else:
-        files = sorted(root.rglob("*"))
+        files = _files_below(root)
     digests = []
-    for path in files:
+    for path in sorted(files):
         parts = path.relative_to(root).parts
         if parts[0] == UNREAD or any(part.startswith(".") for part in parts) or not path.is_file():
             continue
@@ -428,6 +429,19 @@ def data_fingerprint(root: Path, kind: str = REPORT) -> str:
     if not digests:
         raise BadValueError(f"{root} holds no files", "Name the folder of a data set.")
     return fingerprint(digests)
+
+
+def _files_below(top: Path) -> Iterator[Path]:
+    """All that is no folder in ``top`` and below it, through links to folders as well, as readers open them.
+
+    A link to a folder that it lies in itself is not followed: it would never end.
+    """
+    for place, folders, names in os.walk(top, followlinks=True):
+        here = Path(place)
+        around = [each.resolve() for each in (here, *here.parents)[: len(here.relative_to(top).parts) + 1]]
+        real = {name: (here / name).resolve() for name in folders if not name.startswith(".")}
+        folders[:] = [name for name in real if not any(each.is_relative_to(real[name]) for each in around)]
+        yield from (here / name for name in names)
 
 
 def differences(old: Any, new: Any, name: str = "") -> list[str]:

@@ -13,6 +13,7 @@ from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
 from ..evaluate.confidence import CALIBRATION_FILES
+from ..evaluate.photos import Falloff, falloff_there
 from ..evaluate.picture_folder import PictureFolder
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.renderer import Renderer
@@ -93,6 +94,7 @@ class Evaluate:
             split=self.split,
             name=name,
             scale=evaluation.scale_ratio,
+            falloff=subject.training.get("falloff") if evaluation.falloff_used else None,
             **subject.parts,
         )
         write_png(sheet, picture)
@@ -216,8 +218,18 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: 
         name for name, (subject, _) in zip(names, subjects, strict=True) if not subject.parts.get("hdr", True)
     ]
     scales = {name: entry.evaluation.get("scale_ratio") for name, entry in zip(names, entries, strict=True)}
-    write_png(paths[-1], method_sheet(renderers, scene, split=split, without_hdr=without, scales=scales))
+    falloffs = {name: _falloff(subject, split) for name, (subject, _) in zip(names, subjects, strict=True)}
+    sheet = method_sheet(renderers, scene, split=split, without_hdr=without, scales=scales, falloffs=falloffs)
+    write_png(paths[-1], sheet)
     return paths
+
+
+def _falloff(subject: _Subject, split: str) -> Falloff | None:
+    """The vignetting that its evaluation compared with, found as there: no file of it says so."""
+    falloff = subject.training.get("falloff")
+    if falloff is None or not falloff_there(subject.renderer, subject.scene.splits[split], falloff):
+        return None
+    return falloff
 
 
 def _names(subjects: list[_Subject]) -> list[str]:

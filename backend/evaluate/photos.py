@@ -52,6 +52,7 @@ def no_falloff(camera: Camera) -> torch.Tensor:
     return torch.ones(1, 1, 1)
 
 
+@torch.no_grad()
 def falloff_there(renderer: Renderer, views: Sequence[View], falloff: Falloff) -> bool:
     """Whether the pictures of ``views`` have the vignetting: whether their left halves are nearer with it.
 

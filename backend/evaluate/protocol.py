@@ -97,7 +97,8 @@ def evaluate(
     learned = learned_response(renderer)
     response = None if learned is None else check_response(learned, true_response(scene, learned, split))
     ldr = []
-    if falloff is not None and not falloff_there(renderer, views, falloff):
+    falloff_used = falloff is not None and falloff_there(renderer, views, falloff)
+    if falloff is not None and not falloff_used:
         messages.append("Training found vignetting, which these pictures do not have: compared without.")
         falloff = no_falloff
     elif falloff is not None:
@@ -141,6 +142,7 @@ def evaluate(
         iteration=iteration,
         iterations=iterations,
         eight_bit=all_of_eight_bits(views),
+        falloff_used=falloff_used,
     )
 
 

@@ -183,6 +183,7 @@ class Evaluation:
     ``response``: of a method with a global response curve. ``iteration``: what was evaluated, of the
     ``iterations`` that were planned; None: not known. ``eight_bit``: whether all pictures went through 8 bit.
     ``training_exposures``: the places in the bracket that training chose from; None: not known.
+    ``falloff_used``: whether the pictures have the vignetting that was learned, and are compared with it.
     """
 
     scene: str
@@ -201,6 +202,7 @@ class Evaluation:
     iterations: int | None = None
     eight_bit: bool = True
     training_exposures: tuple[int, ...] | None = None
+    falloff_used: bool = False
 
     def ldr_mean(self, part: str) -> Metrics | None:
         """Mean over the views for each exposure, then over those of ``part``; None if there are none."""

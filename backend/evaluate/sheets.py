@@ -16,6 +16,7 @@ from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
 from . import truth
 from .metrics import MU, averaged_to, display, quantise
+from .photos import Falloff
 from .pictures import Pair, compared_everywhere, pairs, radiance_pair
 from .published import data_set_of
 from .renderer import Renderer
@@ -143,14 +144,16 @@ def comparison_sheet(
     shows: Callable[[truth.RelitTruth], bool] | None = None,
     name: str = "ours",
     scale: float | None = None,
+    falloff: Falloff | None = None,
 ) -> np.ndarray:
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
     ``poses``: pose numbers; None takes one that has relit truth, or the middle one, of those that are not
     masked altogether. Exposures that a view lacks and parts without truth have no rows; relit truth is of
     test views. ``hdr`` and ``shows`` as for ``evaluate``; ``name``: whose pictures they are; ``scale``: the
-    evaluation's ``scale_ratio``: where that is off, HDR stands there once more, divided by it. Raises
-    ``BadValueError`` for an unknown pose, and what readers raise.
+    evaluation's ``scale_ratio``: where that is off, HDR stands there once more, divided by it; ``falloff``:
+    the vignetting with which the evaluation compared, None: without. Raises ``BadValueError`` for an unknown
+    pose, and what readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     relit, published = _relit(scene, split), bool(data_set_of(scene))
@@ -159,7 +162,7 @@ def comparison_sheet(
         view = scene.find(split, pose)
         for k in _positions(view, exposure_indices):
             label = f"{view.name}, {view.exposures[k]:.4g} s"
-            rows.append(_row(label, name, _ldr(renderer, view, k), gain))
+            rows.append(_row(label, name, _ldr(renderer, view, k, falloff), gain))
         if hdr and truth.has_hdr_truth(scene.root, split):
             reference = truth.hdr_truth(scene.root, split, pose)
             shown = _hdr(renderer, view, 1.0, reference, published=published)
@@ -186,23 +189,25 @@ def method_sheet(
     split: str = TEST,
     without_hdr: Collection[str] = (),
     scales: Mapping[str, float | None] | None = None,
+    falloffs: Mapping[str, Falloff | None] | None = None,
 ) -> np.ndarray:
     """Several methods beside the truth: each condition is a row of pictures over a row of residuals; uint8.
 
     ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
     that training saw and one between) and HDR where there is truth; ``poses`` and ``split`` as in
     ``comparison_sheet``. ``without_hdr``: names of those that have no radiance; ``scales``: of the others,
-    the evaluation's ``scale_ratio``: where one is off, HDR stands there once more, divided by it.
+    the evaluation's ``scale_ratio``: where one is off, HDR stands there once more, divided by it;
+    ``falloffs``: of those compared with vignetting, as ``falloff`` there.
     Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
     """
     if not renderers:
         raise BadValueError("a sheet of methods needs at least one method")
-    published = bool(data_set_of(scene))
+    published, through = bool(data_set_of(scene)), falloffs or {}
     rows: list[list[Cell]] = []
     for pose in _poses(scene, split, poses, _relit(scene, split)):
         view = scene.find(split, pose)
         for k in _positions(view, exposure_indices):
-            shown = {name: _ldr(renderer, view, k) for name, renderer in renderers.items()}
+            shown = {name: _ldr(each, view, k, through.get(name)) for name, each in renderers.items()}
             rows += _method_rows(f"{view.name}, {_part(view, k)}, {view.exposures[k]:.4g} s", shown, gain)
         if truth.has_hdr_truth(scene.root, split) and renderers.keys() - set(without_hdr):
             reference = truth.hdr_truth(scene.root, split, pose)
@@ -257,8 +262,9 @@ def _part(view: View, k: int) -> str:
     return part_of(view.bracket[k])
 
 
-def _ldr(renderer: Renderer, view: View, k: int) -> Shown:
-    (pair,) = pairs(renderer, view, [k])
+def _ldr(renderer: Renderer, view: View, k: int, falloff: Falloff | None) -> Shown:
+    effect = None if falloff is None else falloff(view.camera)
+    (pair,) = pairs(renderer, view, [k], effect=effect)
     picture, reference = pair.shown()
     metrics = pair.metrics()
     return Shown(picture, reference, metrics.psnr, metrics.ssim)

@@ -25,8 +25,9 @@ from ...bridge.limits import EXPOSURE, LEVEL, is_number
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import VIEWS_FILE, VIEWS_FORMAT, VIEWS_VERSION
 from ..scene import Camera, Scene, View, read_scene
+from ..scene.encoding import LogEncoding
 from ..scene.scene import PictureCache
-from ..scene.source import plain
+from ..scene.source import PictureSource, plain
 from ..train.config import CONFIG_FILE, read_config
 
 RESTORE = "Restore a copy; or delete it, and the run is known by its data set alone."
@@ -34,15 +35,18 @@ RESTORE = "Restore a copy; or delete it, and the run is known by its data set al
 
 def write_views(folder: Path, scene: Scene) -> None:
     """Keep what drawing needs of ``scene``; raises ``OutputError``."""
-    content = {
+    content: dict[str, Any] = {
         "format": VIEWS_FORMAT,
         "version": VIEWS_VERSION,
         "name": scene.name,
         "layout": scene.layout,
         "anchor": scene.response_anchor,
         "lights": scene.lights,
+        "photographs": scene.photographs,
         "splits": {name: [_told(view, scene.root) for view in views] for name, views in scene.splits.items()},
     }
+    if (scale := _radiance_scale(scene)) is not None:
+        content["radiance_scale"] = scale
     with atomic_path(folder / VIEWS_FILE) as temporary:
         temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")
 
@@ -74,6 +78,9 @@ def read_views(folder: Path, root: Path) -> Scene:
             anchor = (_number(exposure), _number(code))
             _require(anchor[0] > 0.0)
         _require(bool(splits["train"]))
+        _kept_scale(content)
+        photographs = content.get("photographs")  # earlier versions did not say
+        _require(photographs is None or isinstance(photographs, bool))
         return Scene(
             root,
             str(content["name"]),
@@ -85,6 +92,7 @@ def read_views(folder: Path, root: Path) -> Scene:
             layout=str(content["layout"]),
             messages=("the data set is not there: the run knows its cameras",),
             validation=splits.get("val", []),
+            known_photographs=photographs,
         )
     except (KeyError, TypeError, ValueError, AttributeError, BadValueError, DataMismatchError) as error:
         raise FileDamagedError(f"{path} does not hold a data set's views: {error!s:.80}", RESTORE) from error
@@ -110,11 +118,13 @@ def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lam
     by name, and it is told to ``report``. Where training views are the same, test views are those that the
     data set has now. Raises ``DataMismatchError`` where a view that was trained on is not there as it was,
     and where the known point of the response is another. Of runs that kept nothing nothing can be said.
+    Radiance is compared at the scale that it was trained at, whatever pictures were added since.
     """
     if not (folder / VIEWS_FILE).exists():
         return scene
     kept = read_views(folder, scene.root)
     _require_same_anchor(kept.response_anchor, scene.response_anchor, folder, scene.root)
+    scene = _at_scale(scene, _kept_scale(read_json_object(folder / VIEWS_FILE, RESTORE)), report)
     if _are_same(kept.train, scene.train) and _are_same(kept.lit, scene.lit):
         return scene
     there: dict[str, list[View]] = {}
@@ -132,6 +142,43 @@ def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lam
     if unknown := len(there.keys() - known):
         told += f", and has {unknown} more, which are left out"
     report(told)
+    return _with_splits(scene, splits, told)
+
+
+def _radiance_scale(scene: Scene) -> float | None:
+    """The scale of the pictures of radiance, one for a whole data set; None where there are none."""
+    views = itertools.chain.from_iterable(scene.splits.values())
+    encodings = (encoding for view in views for encoding in view.encodings)
+    return next((each.scale for each in encodings if isinstance(each, LogEncoding)), None)
+
+
+def _kept_scale(content: Mapping[str, Any]) -> float | None:
+    """``_radiance_scale`` in a run's file; None of earlier versions, too. Raises as ``_view``."""
+    kept = content.get("radiance_scale")
+    return None if kept is None else LogEncoding(_number(kept)).scale
+
+
+def _at_scale(scene: Scene, scale: float | None, report: Callable[[str], object]) -> Scene:
+    """``scene`` with its pictures of radiance at the run's ``scale``; None: as they are."""
+    now = _radiance_scale(scene)
+    if scale is None or now is None or now == scale:
+        return scene
+
+    def scaled(source: PictureSource) -> PictureSource:
+        is_radiance = isinstance(source.encoding, LogEncoding)
+        return replace(source, encoding=LogEncoding(scale)) if is_radiance else source
+
+    splits = {
+        name: [replace(view, sources=tuple(map(scaled, view.sources))) for view in views]
+        for name, views in scene.splits.items()
+    }
+    told = f"radiance is compared at the run's scale, {scale:g}: that of {scene.root} is {now:g} now"
+    report(told)
+    return _with_splits(scene, splits, told)
+
+
+def _with_splits(scene: Scene, splits: Mapping[str, list[View]], told: str) -> Scene:
+    """``scene`` of these views, and in its messages what is ``told`` of it."""
     return replace(
         scene,
         train=splits[TRAIN],

@@ -214,6 +214,7 @@ class Scene:
     what the reader decided, in sentences (split, size, where exposures are from), for people to read.
     ``validation``: views that choices are made on, at poses of their own, never trained from; only our own
     layout, NeRF's and ``transforms.json`` have any. ``of_renders``: whether the layout is one of renders.
+    ``known_photographs``: what ``photographs`` is, as a run keeps it; None: what the data set says.
     """
 
     root: Path
@@ -229,6 +230,7 @@ class Scene:
     messages: tuple[str, ...] = ()
     validation: list[View] = field(default_factory=list)
     of_renders: bool = False
+    known_photographs: bool | None = None
 
     @property
     def splits(self) -> dict[str, list[View]]:
@@ -254,6 +256,8 @@ class Scene:
         renders, they say that we rendered them, or name a known point of the camera's response, which only
         renders can.
         """
+        if self.known_photographs is not None:
+            return self.known_photographs
         prepared = self.root / data_set.CAPTURE_FILE
         if prepared.is_file():
             written = read_json_object(prepared, "Prepare the data set again.")

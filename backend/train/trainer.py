@@ -206,11 +206,13 @@ class Trainer:
         )
 
     def _new_merged(self) -> MergedBrackets | None:
-        """As the configuration says, where brackets show noise."""
-        if not may_merge_brackets(self.config):
+        """As the configuration says, where brackets show noise; None where there is nothing to merge."""
+        # Networks learn from the pictures' own pixels.
+        if not (may_merge_brackets(self.config) and self.config.method.traits.splats):
             return None
         merged = MergedBrackets(self.views, self.exposures)
-        return merged if self.config.merged_brackets == "on" or merged.worth_it else None
+        is_wanted = self.config.merged_brackets == "on" and merged.worst > 0.0  # 0: none has a bracket
+        return merged if is_wanted or merged.worth_it else None
 
     def _new_nuisances(self, state: Mapping[str, torch.Tensor], resumed: Path | None) -> Nuisances | None:
         """As the configuration says; a run that was begun without (by an older PhysHDR) goes on without."""
@@ -254,8 +256,18 @@ class Trainer:
             )
         calibration = read_calibration(Path(path))
         use_response(self.method.splatting, calibration, path)
-        if self.nuisances is not None and calibration.vignetting is not None and calibration.reach:
+        if calibration.vignetting is None or not calibration.reach:
+            return
+        if self.nuisances is not None:
             self.nuisances.know_lens(calibration.vignetting, calibration.reach)
+        elif any(calibration.vignetting):
+            is_off = self.config.nuisances.mode == "off" and self.config.method.traits.effects
+            raise BadValueError(
+                f"{path} knows the lens's vignetting, which this training would take no notice of",
+                "Leave out --nuisances.mode off; of a preset that has it, set --nuisances.mode auto."
+                if is_off
+                else f"{name_of(self.config.method)} knows of none: leave out --calibration.",
+            )
 
     # -- one iteration -----------------------------------------------------------------------------------
 
@@ -493,6 +505,13 @@ class Trainer:
                 f"the run in {folder} was begun with other pictures than those in {self.scene.root}: the "
                 "response is learned of a camera's, and known of radiance and of developed raw files",
                 "Give the data set that it was begun with.",
+            )
+        # Checkpoints of before pictures told the bounds state none, whatever their pictures are.
+        if RANGE in metadata and not np.allclose(log_radiance_range_in(metadata, path), self.range):
+            raise DataMismatchError(
+                f"the run in {folder} was begun with other pictures than those in {self.scene.root}: these "
+                "ask for other bounds of radiance than it learned within",
+                "Give the data set that it was begun with, as it was then.",
             )
         restore_method(self.method, tensors, path)
         self.iteration = progress.iteration

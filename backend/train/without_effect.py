@@ -29,14 +29,19 @@ OF_SPLATS = (
     "sh_degree_every",
     "schedule_for",
     "supervision",
+    "far_shell",
+    "clear_cameras",
+    "merged_brackets",
 )
-#: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth.
+#: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth,
+#: which removes none before a camera.
 OF_3DGS = (
     "densify",
     "initial_opacity",
     "initial_thickness",
     "initial_size_limit",
     "initial_ambient_share",
+    "clear_cameras",
 )
 
 
@@ -63,6 +68,10 @@ def _unread(trainer: Trainer) -> set[str]:
         unread |= poses
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
+    if trainer.config.method.traits.initial_radiance != "merged":
+        unread.add("far_shell")  # points of no colour
+    if trainer.config.merged_brackets == "on" and trainer.merged is None:
+        unread.add("merged_brackets")
     if not lie_on_surfaces(trainer.scene, trainer.config):
         unread.add("initial_thickness")
     if not may_have_strays(trainer.scene, trainer.config):

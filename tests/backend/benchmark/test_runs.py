@@ -2,6 +2,7 @@
 """Runs of an earlier PhysHDR stand for those of today where only settings came since."""
 
 import json
+import shutil
 
 import pytest
 
@@ -79,3 +80,59 @@ def test_nor_other_data(store):
     first, second = runs_of(store.plan)
     store.data[first.scene.name] = "other"
     assert not store.is_trained(first) and store.iterations(second) is None
+
+
+#: Of a data set: folders and files whose names sort otherwise as parts than as text, and what nobody reads.
+FILES = (
+    *("transforms_train.json", "images/b.png", "images/a/0.png", "images.txt", "train/r_0.png"),
+    *("train/more/r_1.png", "points3d.ply", "passes/x.exr", ".hidden/y", "images/.z"),
+)
+
+
+def data_set(root):
+    for name in FILES:
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(name.encode())
+    return root
+
+
+def test_a_fingerprint_stays_that_of_the_runs_there_are(tmp_path):
+    root = data_set(tmp_path)
+    assert data_fingerprint(root) == "63295767af2afdc4"  # as written before links were followed
+    assert data_fingerprint(root, "tune") == "3b53caa1906f0529"
+
+
+@pytest.mark.parametrize("kind", ["report", "tune"])
+def test_what_lies_behind_a_linked_folder_counts(kind, tmp_path):
+    plain, linked = data_set(tmp_path / "plain"), tmp_path / "linked"
+    shutil.copytree(plain, linked)
+    for name in ("images/a", "images", "train/more", "train"):  # each folder is one of another disk
+        (linked / name).rename(tmp_path / name.replace("/", "_"))
+        (linked / name).symlink_to(tmp_path / name.replace("/", "_"), target_is_directory=True)
+    known = data_fingerprint(linked, kind)
+    assert known == data_fingerprint(plain, kind)
+    (tmp_path / "train_more" / "r_1.png").write_bytes(b"taken anew")
+    assert data_fingerprint(linked, kind) != known
+
+
+def test_a_data_set_of_linked_folders_alone_has_files(tmp_path):
+    (tmp_path / "data").mkdir()
+    for name in ("images", "train"):
+        (tmp_path / "data" / name).symlink_to(data_set(tmp_path / "plain") / name, target_is_directory=True)
+    assert len(data_fingerprint(tmp_path / "data")) == 16
+
+
+def test_links_in_a_circle_end(tmp_path):
+    root, other, plain = data_set(tmp_path / "data"), tmp_path / "other", data_set(tmp_path / "plain")
+    known = data_fingerprint(root)
+    (root / "images" / "loop").symlink_to(root / "images", target_is_directory=True)
+    (root / "images" / "up").symlink_to(tmp_path, target_is_directory=True)
+    assert data_fingerprint(root) == known
+    other.mkdir()
+    (other / "file").write_bytes(b"1")
+    (other / "back").symlink_to(root, target_is_directory=True)
+    (root / "over").symlink_to(other, target_is_directory=True)  # over/file counts, over/back does not
+    (plain / "over").mkdir()
+    (plain / "over" / "file").write_bytes(b"1")
+    assert data_fingerprint(root) == data_fingerprint(plain)

@@ -90,6 +90,38 @@ def test_against_a_run_at_another_resolution_nothing_is_ranked(
     )
 
 
+class Dark:
+    """What a training has learned: a lens that lets ``share`` of the light through."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+
+    def falloff(self, camera) -> torch.Tensor:
+        return torch.full((1, 1, 1), self.share)
+
+
+class Photographing(Grey):
+    def photographed(self, camera, exposures, effects, lighting_level=1.0) -> list[torch.Tensor]:
+        return [self.hdr(camera) * effect for effect in effects]
+
+
+def test_the_sheets_compare_as_the_table_does(opened, tiny_data, tmp_path: Path, monkeypatch) -> None:
+    every = [(view, k) for view in read_scene(tiny_data).test for k in range(len(view.exposures))]
+    halves = [view.values(k)[:, : view.camera.width // 2].mean() for view, k in every]
+    share = 2.0 * sum(halves) / len(halves)  # of grey, 0.5: the nearest to the pictures' left halves
+    told = []
+    for name in ("comparison_sheet", "method_sheet"):
+        draw = getattr(command, name)
+        monkeypatch.setattr(command, name, lambda *a, draw=draw, **b: told.append(b) or draw(*a, **b))
+    opened["a"] = {"method": Photographing(), "lenses": Dark(share)}
+    opened["b"] = {"method": Photographing(), "lenses": Dark(100.0)}
+    assert main(["evaluate", str(tmp_path / "b")]) == 0
+    assert main(["evaluate", str(tmp_path / "a"), "--against", str(tmp_path / "b")]) == 0
+    of_b, of_a, both = told
+    assert of_b["falloff"] is None and of_a["falloff"](None).item() == pytest.approx(share)
+    assert both["falloffs"]["a"](None).item() == pytest.approx(share) and both["falloffs"]["b"] is None
+
+
 # ---- pictures that another program made ------------------------------------------------------------------
 
 

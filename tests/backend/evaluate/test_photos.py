@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from physhdr.backend.evaluate import sheets
 from physhdr.backend.evaluate.photos import fitted_photos
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
@@ -81,6 +82,26 @@ def test_an_evaluation_says_both(tmp_path):
     assert any("vignetting" in message for message in through.messages)
     assert any("left half" in message for message in through.messages)
     assert not any("left half" in message for message in plain.messages)
+
+
+@pytest.mark.parametrize("arriving", [None, torch.ones(1, 1, 1)])
+def test_a_sheet_has_the_numbers_of_its_evaluation(tmp_path, monkeypatch, arriving):
+    """A photo through the lens, and one that was developed with its profile."""
+    shown = []
+    row, rows = sheets._row, sheets._method_rows
+    monkeypatch.setattr(sheets, "_row", lambda *given: shown.append(given[2]) or row(*given))
+    monkeypatch.setattr(sheets, "_method_rows", lambda *given: shown.append(given[1]) or rows(*given))
+    scene = Scene(tmp_path, "photos", [], [photo(tmp_path, arriving=arriving)], [])
+    found = evaluate(Model(), scene, falloff=falloff)
+    assert found.falloff_used == (arriving is None)
+    used = falloff if found.falloff_used else None
+    sheets.comparison_sheet(Model(), scene, exposure_indices=(0,), falloff=used)
+    both = {"with": Model(), "without": Model()}
+    sheets.method_sheet(both, scene, exposure_indices=(0,), falloffs={"with": used, "without": None})
+    alone, methods = shown
+    measured = found.ldr[0].metrics
+    assert alone.psnr == methods["with"].psnr == measured.psnr and alone.ssim == measured.ssim
+    assert (methods["without"].psnr == measured.psnr) == (arriving is not None)
 
 
 def test_pictures_without_the_vignetting_are_compared_without(tmp_path):

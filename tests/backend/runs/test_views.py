@@ -7,10 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
+from PIL import Image
 
+from physhdr.backend.runs.run import Run
 from physhdr.backend.runs.views import as_trained, read_views, write_views
 from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.encoding import LogEncoding
+from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.views import log_radiance_range
+from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from physhdr.bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, PhysHDRError
 from physhdr.bridge.run_folder import VIEWS_FILE, may_be_of, picture_names
 
@@ -134,6 +141,96 @@ def test_another_known_point_of_the_response_is_another_data_set(another, scene,
             as_trained(tmp_path, now)
 
 
+def nerf_of_renders(root):
+    """Renders in NeRF's layout, whose exposures are stated and the camera's response is not."""
+    for split in ("train", "test"):
+        frames = []
+        for i in range(3):
+            (root / split).mkdir(parents=True, exist_ok=True)
+            Image.new("RGB", (8, 6), (90, 60, 30)).save(root / split / f"r_{i}.png")
+            pose = np.eye(4)
+            pose[0, 3] = i
+            frame = {"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()}
+            frames.append(frame | {"exposure_time": 0.125})
+        content = {"camera_angle_x": 0.9, "frames": frames}
+        (root / f"transforms_{split}.json").write_text(json.dumps(content))
+    return root
+
+
+@pytest.mark.parametrize("of_renders", [True, False])
+def test_renders_stay_renders_without_their_data_set(of_renders, tmp_path):
+    """Else an eighth of a second would be photographs of three stops: log2(1/8)."""
+    run = tmp_path / "run"
+    run.mkdir()
+    scene = read_scene(nerf_of_renders(tmp_path / "data"))
+    scene = scene if of_renders else replace(scene, of_renders=False)
+    assert scene.response_anchor is None and scene.photographs is not of_renders
+    write_views(run, scene)
+    kept = read_views(run, tmp_path / "gone")
+    (tmp_path / "other").mkdir()  # where the data set was a prepared one lies now
+    (tmp_path / "other" / CAPTURE_FILE).write_text(json.dumps({"format": CAPTURE_FORMAT}))
+    for opened in (kept, replace(kept, root=tmp_path / "other")):
+        assert opened.photographs is not of_renders
+        ev = Run(run, "default", TrainConfig(), opened, None, 0).photographed_ev
+        assert ev == (0.0 if of_renders else -3.0)
+
+
+def test_of_runs_of_before_it_was_kept_photographs_are_told_by_the_data_set(scene, tmp_path):
+    write_views(tmp_path, scene)
+    content = json.loads((tmp_path / VIEWS_FILE).read_text())
+    assert content.pop("photographs") is False and "radiance_scale" not in content
+    (tmp_path / VIEWS_FILE).write_text(json.dumps(content))
+    assert not read_views(tmp_path, tmp_path).photographs  # it names a point of the response
+    (tmp_path / VIEWS_FILE).write_text(json.dumps(content | {"anchor": None}))
+    assert read_views(tmp_path, tmp_path).photographs
+
+
+def nerfstudio_of_radiance(root, radiance):
+    """One OpenEXR of each value of ``radiance``, on a line; the layout has no lists of splits."""
+    frames = []
+    for k, value in enumerate(radiance):
+        (root / "images").mkdir(parents=True, exist_ok=True)
+        pixels = np.full((6, 8, 3), value, np.float32)
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        with OpenEXR.File(header, {"RGB": pixels}) as file:
+            file.write(str(root / "images" / f"r_{k:02}.exr"))
+        pose = np.eye(4)
+        pose[0, 3] = k
+        frames.append({"file_path": f"images/r_{k:02}.exr", "transform_matrix": pose.tolist()})
+    lens = {"fl_x": 9.0, "fl_y": 9.0, "cx": 4.0, "cy": 3.0, "w": 8, "h": 6}
+    (root / "transforms.json").write_text(json.dumps(lens | {"frames": frames}))
+    return root
+
+
+@pytest.mark.parametrize("where", ["train", "test"])
+def test_brighter_pictures_that_are_added_leave_the_scale_of_radiance(where, tmp_path):
+    """Of 16 pictures the added four are of radiance 300: in training, or beside the same training views."""
+    run, told = tmp_path / "run", []
+    run.mkdir()
+    write_views(run, before := read_scene(nerfstudio_of_radiance(tmp_path / "data", [1.0] * 12)))
+    now = read_scene(nerfstudio_of_radiance(tmp_path / "data", [1.0] * 12 + [300.0] * 4))
+    if where == "test":  # the training views are those of the run, and only the test views are more
+        added = [view for views in now.splits.values() for view in views if view.index >= 12]
+        every = sorted([*now.train, *now.test], key=lambda view: view.index)
+        same, test = ([v for v in every if v.name in names(some)] for some in (before.train, before.test))
+        now = replace(now, train=same, test=[*test, *added])
+    assert json.loads((run / VIEWS_FILE).read_text())["radiance_scale"] == 1.0
+    found = as_trained(run, now, told.append)
+    assert names(found.train) == names(before.train)
+    assert {encoding for view in now.train for encoding in view.encodings} == {LogEncoding(300.0)}
+    every = [view for views in found.splits.values() for view in views]
+    assert {encoding for view in every for encoding in view.encodings} == {LogEncoding(1.0)}
+    positions = [(0,)] * len(found.train)
+    assert log_radiance_range(found.train, positions) == log_radiance_range(before.train, positions)
+    assert found.train[0].values(0) == pytest.approx(1.0, abs=1e-4)  # and so are its codes
+    assert "radiance is compared at the run's scale, 1: " in told[0] and told[0] in found.messages
+    assert len(told) == (1 if where == "test" else 2)
+    content = json.loads((run / VIEWS_FILE).read_text())
+    del content["radiance_scale"]  # as an earlier version left it
+    (run / VIEWS_FILE).write_text(json.dumps(content))
+    assert as_trained(run, now).train[0].encodings == (LogEncoding(300.0),)
+
+
 VALUES = (None, "x", [], {}, -1, 0, 1.5, True, [1e999], "1" * 5000)
 
 
@@ -141,7 +238,7 @@ def test_any_value_in_it_is_taken_or_refused_with_a_reason(scene, tmp_path):
     write_views(tmp_path, scene)
     whole = json.loads((tmp_path / VIEWS_FILE).read_text())
     view = whole["splits"]["train"][0]
-    whole["splits"] = {"train": [view]}
+    whole |= {"splits": {"train": [view]}, "radiance_scale": 2.0}
     refused = 0
     for key in (*whole, *(f"view {name}" for name in view)):
         for value in VALUES:

@@ -15,7 +15,7 @@ from physhdr.backend.train.config import write_config
 from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
-from physhdr.bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
+from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 
 SHORT = dataclasses.replace(PRESETS["default"], iterations=12, nuisances=NuisanceConfig(mode="on"))
 
@@ -97,3 +97,27 @@ def test_what_is_no_calibration_of_this_camera_is_refused(calibrated, tiny_data,
     path.write_text(json.dumps(written | {"response": None}))
     with pytest.raises(DataMismatchError, match="whose response is known"):
         Trainer(scene, dataclasses.replace(SHORT, calibration=str(path)))
+
+
+@pytest.mark.parametrize(
+    ("config", "hint"),
+    [
+        (SHORT, "--nuisances.mode off"),
+        (PRESETS["hdr-gs"], "leave out --calibration"),  # it knows of no vignetting
+    ],
+)
+def test_vignetting_that_would_be_dropped_is_refused(config, hint, calibrated, tiny_data, tmp_path):
+    scene, written = read_scene(tiny_data), json.loads(calibrated[1].read_text())
+    path = tmp_path / "camera.json"
+    off = dataclasses.replace(
+        config, iterations=12, calibration=str(path), nuisances=NuisanceConfig(mode="off")
+    )
+    state = Trainer(scene, dataclasses.replace(off, calibration=None)).method.tone_mapper.state_dict()
+    written["response"] = {name: value.tolist() for name, value in state.items()}
+    path.write_text(json.dumps(written))
+    with pytest.raises(BadValueError, match="vignetting") as refused:
+        Trainer(scene, off)
+    assert hint in refused.value.hint
+    for nothing in ({"vignetting": None, "reach": None}, {"vignetting": [0.0, 0.0, 0.0]}):
+        path.write_text(json.dumps(written | nothing))
+        assert Trainer(scene, off).nuisances is None

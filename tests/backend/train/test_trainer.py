@@ -517,6 +517,25 @@ def test_a_checkpoint_of_before_it_named_its_configuration_resumes_with_a_word(t
     assert load_method(tmp_path, config, scene.response_anchor)[1] == 5
 
 
+def test_a_checkpoint_belongs_to_the_bounds_of_radiance_of_its_pictures(tiny_data, tmp_path):
+    """Those that state none, and are of before pictures told them, resume whatever their pictures tell."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    sunny = dataclasses.replace(scene, train=[in_the_sun(view) for view in scene.train])
+    resumed = Trainer(sunny, config, resumed=tmp_path)
+    assert resumed.range == pytest.approx((-12.0, math.log(200.0 * 8000.0)))  # 200 times white in 1/8000 s
+    resumed.save(tmp_path)
+    assert Trainer(sunny, config, resumed=tmp_path).iteration == 5
+    with pytest.raises(DataMismatchError, match="bounds of radiance"):
+        Trainer(scene, config, resumed=tmp_path)
+
+
+def in_the_sun(view):
+    """The same bracket in 1/8000 s and more."""
+    times = view.exposures[0] * 8000.0
+    return dataclasses.replace(view, exposures=tuple(seconds / times for seconds in view.exposures))
+
+
 def test_a_setting_that_is_added_some_day_leaves_the_fingerprint_alone(tmp_path):
     """It is of the file's words; order and former names do not matter, values do."""
     path = tmp_path / "config.json"

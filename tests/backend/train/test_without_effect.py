@@ -40,23 +40,28 @@ CHANGES = {
     "--supervision": lambda c: dataclasses.replace(
         c, supervision="one" if c.supervision == "bracket" else "bracket"
     ),
+    "--far-shell": lambda c: dataclasses.replace(c, far_shell="on"),
+    "--clear-cameras": lambda c: dataclasses.replace(c, clear_cameras="on"),
+    "--merged-brackets": lambda c: dataclasses.replace(c, merged_brackets="on"),
 }
 #: Brackets tell more than a slope; its points do not say what kind they are.
 NOT_HERE = ("--method.tone-mapper.initial-slope", "--initial-size-limit", "--initial-thickness")
 #: What each preset reads and what it does not.
 CASES = {
-    "default": (tuple(set(CHANGES) - set(NOT_HERE)), NOT_HERE),
+    # Nothing of this scene comes before a camera so soon: --clear-cameras is read, and finds nothing.
+    "default": (tuple(set(CHANGES) - {*NOT_HERE, "--clear-cameras"}), NOT_HERE),
     "default-scaffold": (
-        ("--initial-scale", "--optimiser.tone-mapper", "--supervision"),
+        ("--initial-scale", "--optimiser.tone-mapper", "--supervision", "--far-shell", "--merged-brackets"),
         (
             *("--initial-opacity", "--initial-thickness", "--densify.threshold", "--densify.budget"),
-            *("--optimiser.means-final", "--optimiser.rates-for"),
+            *("--optimiser.means-final", "--optimiser.rates-for", "--clear-cameras"),
         ),
     ),
     "gausshdr-short": (
         ("--densify.budget",),
         ("--optimiser.tone-mapper", "--method.tone-mapper.initial-curve"),
     ),
+    "hdr-gs": (("--initial-scale",), ("--far-shell",)),
     "hdr-nerf-small": ((), ("--supervision",)),
 }
 
@@ -87,3 +92,26 @@ def test_what_is_not_read_is_named_and_changes_nothing(preset, tiny_data):
         assert changed_without_effect(trainer, base) == ([option] if option in unread else [])
         same = parameters.shape == expected.shape and torch.equal(parameters, expected)
         assert same == (option in unread), option
+
+
+def test_merged_brackets_are_named_where_training_sees_one_exposure_of_each_view(tiny_data):
+    scene = read_scene(tiny_data)
+    preset = dataclasses.replace(PRESETS["default"], initial_points="file")
+    for mode, unread in (("exp3", []), ("exp1", ["--merged-brackets"])):
+        base = dataclasses.replace(preset, exposure_mode=mode)
+        trainer = Trainer(scene, dataclasses.replace(base, merged_brackets="on"))
+        assert changed_without_effect(trainer, base) == unread
+        assert ("brackets merged" in trainer.start_message) == (not unread)
+
+
+def test_networks_read_none_of_what_starts_splats_and_make_no_tables_of_brackets(tiny_data):
+    scene = read_scene(tiny_data)
+    whole = PRESETS["hdr-nerf-small"]
+    method = dataclasses.replace(whole.method, warm_start_steps=1)
+    base = dataclasses.replace(whole, iterations=2, initial_points="file", method=method)
+    _, expected = trained(scene, base)
+    changed = dataclasses.replace(base, far_shell="on", clear_cameras="on", merged_brackets="on")
+    trainer, parameters = trained(scene, changed)
+    unread = ["--far-shell", "--merged-brackets", "--clear-cameras"]
+    assert changed_without_effect(trainer, base) == unread and torch.equal(parameters, expected)
+    assert trainer.merged is None
