@@ -333,7 +333,7 @@ def test_radiance_is_not_compared_where_the_views_pictures_are_masked(
     only_first = masked(scene, {first: hidden, second: everything[second]}, tmp_path / "first")
     assert sheets._poses(only_first, "test", None, of_relit) == [first]
     assert sheets._poses(of_none, "test", None, of_relit) == [second]
-    nothing = sheets._ldr(renderer, of_none.test[0], 0)
+    nothing = sheets._ldr(renderer, of_none.test[0], 0, None)
     assert sheets._numbers(nothing) == "masked, not compared" and not nothing.reference.any()
 
 
