@@ -218,18 +218,24 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: 
         name for name, (subject, _) in zip(names, subjects, strict=True) if not subject.parts.get("hdr", True)
     ]
     scales = {name: entry.evaluation.get("scale_ratio") for name, entry in zip(names, entries, strict=True)}
-    falloffs = {name: _falloff(subject, split) for name, (subject, _) in zip(names, subjects, strict=True)}
+    falloffs = {
+        entry.method: _falloff(subject, split, entry.evaluation)
+        for entry, (subject, _) in zip(entries, subjects, strict=True)
+    }
     sheet = method_sheet(renderers, scene, split=split, without_hdr=without, scales=scales, falloffs=falloffs)
     write_png(paths[-1], sheet)
     return paths
 
 
-def _falloff(subject: _Subject, split: str) -> Falloff | None:
-    """The vignetting that its evaluation compared with, found as there: no file of it says so."""
+def _falloff(subject: _Subject, split: str, evaluation: dict[str, Any]) -> Falloff | None:
+    """The vignetting that its evaluation compared with; of files before 2026-11-27 found as there."""
     falloff = subject.training.get("falloff")
-    if falloff is None or not falloff_there(subject.renderer, subject.scene.splits[split], falloff):
+    if falloff is None:
         return None
-    return falloff
+    used = evaluation.get("conditions", {}).get("vignetting")
+    if used is None:
+        used = falloff_there(subject.renderer, subject.scene.splits[split], falloff)
+    return falloff if used else None
 
 
 def _names(subjects: list[_Subject]) -> list[str]:

@@ -223,6 +223,7 @@ def write_pictures(
         )
     relit = truth.relit_truth(scene.root) if split == TEST else []
     views, count = scene.splits[split], 0
+    _require_none_stays(renderer, scene, folder, views, relit)
     for done, view in enumerate(views):
         progress(done, len(views), view.name)
         places = [k for k, encoding in enumerate(view.encodings) if not encoding.is_known]
@@ -242,6 +243,25 @@ def write_pictures(
         count += len(places) + len(radiance)
     progress(len(views), len(views), "")
     return count
+
+
+def _require_none_stays(
+    renderer: Renderer, scene: Scene, folder: Path, views: Sequence[View], relit: Sequence[truth.RelitTruth]
+) -> None:
+    """Pictures of something else that ``PictureFolder`` would read beside the renderer's."""
+    pictures = [
+        source.path
+        for view in views
+        for source, encoding in zip(view.sources, view.encodings, strict=True)
+        if not encoding.is_known and source.path.suffix != ".png"
+    ]
+    unknown = [item.path for item in relit if not item.can_be_shown(renderer.lights)]
+    for path in (folder / name_in(scene, path) for path in (*pictures, *unknown)):
+        if path.exists():
+            raise BadValueError(
+                f"{path} is there and would stay, as if it were of this model",
+                "Give another folder, or remove what is in it.",
+            )
 
 
 def _planes_last(picture: torch.Tensor) -> np.ndarray:

@@ -55,6 +55,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "ldr_oe_exposure_indices": evaluation.parts[OBSERVED],
             "ldr_ne_exposure_indices": evaluation.parts[NOVEL],
             "eight_bit": evaluation.eight_bit,
+            "vignetting": evaluation.falloff_used,
         },
         "scale_ratio": evaluation.scale_ratio,
         "response": evaluation.response and dataclasses.asdict(evaluation.response),

@@ -122,6 +122,22 @@ def test_the_sheets_compare_as_the_table_does(opened, tiny_data, tmp_path: Path,
     assert both["falloffs"]["a"](None).item() == pytest.approx(share) and both["falloffs"]["b"] is None
 
 
+def test_against_a_run_it_is_not_found_again_what_its_file_says(opened, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(
+        command, "falloff_there", lambda renderer, views, falloff: searched.append(views) or True
+    )
+    opened["a"] = opened["b"] = {"method": Photographing(), "lenses": Dark(0.5)}
+    for name in ("a", "b"):
+        assert main(["evaluate", str(tmp_path / name)]) == 0
+    for said, searches in ((False, 0), (None, 1)):
+        searched: list = []
+        content = written(tmp_path / "b")
+        content["conditions"]["vignetting"] = said  # None: of a version that did not say so
+        (tmp_path / "b" / "evaluation.json").write_text(json.dumps(content))
+        assert main(["evaluate", str(tmp_path / "a"), "--against", str(tmp_path / "b")]) == 0
+        assert len(searched) == searches
+
+
 # ---- pictures that another program made ------------------------------------------------------------------
 
 

@@ -367,3 +367,25 @@ def test_some_views_of_a_mixture_are_none(small, data_set, tmp_path) -> None:
 def test_a_data_sets_own_pictures_are_never_replaced(small, scene) -> None:
     with pytest.raises(BadValueError, match="is the data set: its own pictures would be replaced"):
         write_pictures(Model(small), scene, scene.root / ".." / scene.root.name)
+
+
+def test_what_would_stay_among_a_models_pictures_is_refused(small, scene, photos, tmp_path) -> None:
+    """The relit pictures of a model with more lights; a JPEG, which is read before a PNG of the same name."""
+
+    class Unlit(Model):
+        lights = ()
+
+    lit, folder = Model(small), tmp_path / "theirs"
+    write_pictures(lit, scene, folder)
+    write_pictures(lit, scene, folder)  # all of it replaced
+    written = {path: path.read_bytes() for path in folder.rglob("*_*.*") if path.is_file()}
+    with pytest.raises(BadValueError, match=r"relit.*would stay.*\n.*another folder"):
+        write_pictures(Unlit(small), scene, folder)
+    assert written == {path: path.read_bytes() for path in folder.rglob("*_*.*") if path.is_file()}
+
+    theirs = tmp_path / "jpegs" / "images" / "v_2.jpg"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_bytes(b"theirs")
+    with pytest.raises(BadValueError, match=r"v_2\.jpg is there"):
+        write_pictures(lit, read_scene(photos), tmp_path / "jpegs")
+    assert [*(tmp_path / "jpegs").rglob("*.*")] == [theirs]
