@@ -22,7 +22,7 @@ demo: setup ## Scene → data → training → relit picture: runs/demo/result.p
 test: setup ## Lint as on Linux, and the tests of both sides of the house, but for what takes long
 	@$(PYTHON) tools/run_tests.py
 
-test-long: setup ## What takes long: several trainings, all of lint, the installed wheel, short forms of fuzz and torture
+test-long: setup ## What takes long: several trainings, lint as on Windows and macOS, the installed wheel, short fuzz and torture
 	@$(PYTHON) tools/run_tests.py --long
 	@$(BACKEND) tools/try_wheel.py
 	@$(BACKEND) tools/fuzz.py --short

@@ -137,7 +137,7 @@ def render_size(scene: bpy.types.Scene, percentage: float = 100.0) -> tuple[int,
     return max(1, int(width * percentage / 100.0)), max(1, int(height * percentage / 100.0))
 
 
-def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material) -> Any:
+def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material | bpy.types.World) -> Any:
     """Cycles' settings of a scene or a material: Cycles registers them, as an extension does."""
     return cast(Any, of).cycles
 

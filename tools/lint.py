@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """ruff, its formatting, and pyright over all rooms: as on Linux, then as on Windows and on macOS.
 
-    .venvs/backend/bin/python tools/lint.py            what `make lint` and `make test-long` run
+    .venvs/backend/bin/python tools/lint.py            what `make lint` runs
     .venvs/backend/bin/python tools/lint.py --quick    as on Linux alone: what `make test` runs
+    .venvs/backend/bin/python tools/lint.py --others   as on the others alone: what `make test-long` runs
     .venvs/backend/bin/python tools/lint.py --whole    every file for every system, not only where they differ
 
 Two programs run at a time. For Windows and macOS only those files are looked at that import something which
@@ -37,18 +38,18 @@ def files_that_differ(root: Path) -> list[str]:
     return [str(path.relative_to(root)) for path in files if DIFFERS.search(path.read_text(encoding="utf-8"))]
 
 
-def checks(*, quick: bool = False, whole: bool = False) -> dict[str, list[str]]:
-    """Name → command, the longest first among those that take long."""
+def checks(*, quick: bool = False, others: bool = False, whole: bool = False) -> dict[str, list[str]]:
+    """Name → command, the longest first among those that take long. ``quick``, ``others``: of these alone."""
     programs = Path(sys.executable).parent
     ruff, pyright = str(programs / "ruff"), str(programs / "pyright")
-    found = {"ruff check": [ruff, "check", "."], "ruff format": [ruff, "format", "--check", "."]}
-    found["pyright"] = [pyright, "--level", "error", "--pythonplatform", "Linux"]
-    if quick:
-        return found
+    here = {"ruff check": [ruff, "check", "."], "ruff format": [ruff, "format", "--check", "."]}
+    here["pyright"] = [pyright, "--level", "error", "--pythonplatform", "Linux"]
     files = [] if whole else files_that_differ(ROOT)
-    for system in OTHER_SYSTEMS:
-        found[f"pyright, {system}"] = [pyright, "--level", "error", "--pythonplatform", system, *files]
-    return found
+    elsewhere = {
+        f"pyright, {system}": [pyright, "--level", "error", "--pythonplatform", system, *files]
+        for system in OTHER_SYSTEMS
+    }
+    return ({} if others else here) | ({} if quick else elsewhere)
 
 
 def run(name: str, command: list[str]) -> bool:
@@ -63,10 +64,12 @@ def run(name: str, command: list[str]) -> bool:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="as on Linux alone")
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument("--quick", action="store_true", help="as on Linux alone")
+    parts.add_argument("--others", action="store_true", help="as on Windows and macOS alone")
     parser.add_argument("--whole", action="store_true", help="every file for every system")
     given = parser.parse_args()
-    wanted = checks(quick=given.quick, whole=given.whole)
+    wanted = checks(quick=given.quick, others=given.others, whole=given.whole)
     with ThreadPoolExecutor(max_workers=2) as pool:
         passed = list(pool.map(run, wanted.keys(), wanted.values()))
     return 0 if all(passed) else 1

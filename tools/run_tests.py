@@ -3,7 +3,7 @@
 """Run every room's tests with the interpreter that it needs, and print how long each took.
 
     python tools/run_tests.py           what `make test` runs: all but the tests that are marked `long`
-    python tools/run_tests.py --long    those tests (several trainings, statistics, Ray), and all of lint
+    python tools/run_tests.py --long    those tests (several trainings, statistics, Ray), and the rest of lint
 
 Other arguments are passed on to pytest. Two lanes run side by side, in each one suite after the other. What a
 suite says is printed when it is done, but for the first lane's, which comes as it is said.
@@ -46,7 +46,7 @@ LANES: tuple[dict[str, tuple], ...] = (
 LONG: tuple[dict[str, tuple], ...] = (
     {"long": (*PYTEST, "-m", "long", "tests/backend")},
     {
-        "lint": (BACKEND / "python", "tools/lint.py"),
+        "lint": (BACKEND / "python", "tools/lint.py", "--others"),
         "long loop": (*PYTEST, "-m", "long", "tests/loop"),
     },
 )

@@ -176,7 +176,7 @@ def clean(
         wanted = functools.reduce(lambda a, b: limits.both("OR", a, b), limits.on)
         keep = functools.reduce(lambda a, b: limits.both("AND", a, b), limits.keep)
         left = make.field("GeometryNodeSeparateGeometry", geometry, keep, domain="POINT")
-        return make.switch(wanted, geometry, left, "GEOMETRY")
+        return make.switch(wanted, geometry, left, "GEOMETRY").called("geometry")
 
 
 class _Limits:

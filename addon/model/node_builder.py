@@ -20,11 +20,19 @@ Operand = Union["Field", float, tuple[float, float, float]]
 
 
 class Field:
-    """An output socket with arithmetic: ``+ − * /`` make math nodes (vector math with a vector)."""
+    """An output socket with arithmetic: ``+ − * /`` make math nodes (vector math with a vector).
 
-    def __init__(self, builder: "NodeBuilder", socket: bpy.types.NodeSocket) -> None:
+    ``name``: what a node group calls it that it goes into or comes out of; empty: as its node or its socket.
+    """
+
+    def __init__(self, builder: "NodeBuilder", socket: bpy.types.NodeSocket, name: str = "") -> None:
         self.builder = builder
         self.socket = socket
+        self.name = name
+
+    def called(self, name: str) -> "Field":
+        """The same, with a name for node groups."""
+        return Field(self.builder, self.socket, name)
 
     @property
     def is_vector(self) -> bool:
@@ -77,7 +85,9 @@ class NodeBuilder:
         node.parent = self._frame
         node.label = label
         for name, value in properties.items():
-            setattr(node, name, value)
+            # Blender works through the whole tree even where what is set was so before.
+            if getattr(node, name) != value:
+                setattr(node, name, value)
         sockets = [socket for socket in node.inputs if socket.enabled]
         for socket, value in zip(sockets, inputs, strict=False):
             self._connect(value, socket)
@@ -111,13 +121,17 @@ class NodeBuilder:
     def _connect(self, value: Any, socket: Any) -> None:
         # Any: a socket's ``default_value`` is of its own class, what sockets have in common has none.
         if isinstance(value, Field):
-            self.tree.links.new(value.socket, socket)
+            self.tree.links.new(self._here(value).socket, socket)
         elif value is None:
             return
         elif socket.type == "VECTOR" and isinstance(value, int | float):
             socket.default_value = (value, value, value)
         else:
             socket.default_value = value
+
+    def _here(self, field: Field) -> Field:
+        """The field as a socket of the tree that nodes are added to."""
+        return field
 
     def arrange(self) -> None:
         """Place frames from left to right in the order of their making, and inside each the nodes in
@@ -127,15 +141,19 @@ class NodeBuilder:
             if node.type != "FRAME":
                 groups.setdefault(node.parent, []).append(node)
         left = 0.0
+        places: dict[str, tuple[float, float]] = {}
         for nodes in groups.values():
             columns = self._columns(nodes)
             for index, column in enumerate(columns):
                 top = 0.0
                 for node in column:
-                    node.location = (left + index * COLUMN_WIDTH, top)
+                    places[node.name] = (left + index * COLUMN_WIDTH, top)
                     sockets = sum(socket.enabled for socket in [*node.inputs, *node.outputs])
                     top -= HEADER_HEIGHT + SOCKET_HEIGHT * sockets + ROW_GAP
             left += len(columns) * COLUMN_WIDTH + FRAME_GAP
+        # All at once: after each that is set alone Blender works through the whole tree.
+        flat = [x for node in self.tree.nodes for x in places.get(node.name, tuple(node.location))]
+        self.tree.nodes.foreach_set("location", flat)
 
     def _columns(self, nodes: list[bpy.types.Node]) -> list[list[bpy.types.Node]]:
         sources: dict[str, list[str]] = {node.name: [] for node in nodes}
@@ -152,8 +170,109 @@ class NodeBuilder:
         return columns
 
 
+class _Group:
+    """A node group of ``outside``. Its sockets are made for the fields that go in and come out."""
+
+    def __init__(self, name: str, outside: bpy.types.NodeTree) -> None:
+        self.outside = outside
+        self.tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+        #: The node in ``outside``, and the one inside that puts out, once all else is inside.
+        self.node: Any = None
+        self._put_out: Any = None
+        #: What goes in, by the identifier of the node's socket.
+        self.wanted: dict[str, Field] = {}
+        self._given = self.tree.nodes.new("NodeGroupInput")
+        self._known: dict[tuple[str, str, str], Field] = {}
+
+    def inside(self, field: Field) -> Field:
+        """What ``field``, of the tree outside, is inside."""
+        if (key := self._key(field)) not in self._known:
+            identifier = self._declare(field, "INPUT")
+            self.wanted[identifier] = field
+            self._known[key] = self._as(field, self._given.outputs, identifier)
+        return self._known[key]
+
+    def close(self, node: bpy.types.Node) -> None:
+        """All but what comes out is inside, and laid out; ``node`` is the group outside."""
+        right = max(each.location_absolute.x for each in self.tree.nodes)
+        self._put_out = self.tree.nodes.new("NodeGroupOutput")
+        self._put_out.location = (right + COLUMN_WIDTH + FRAME_GAP, 0.0)
+        self.node = node
+
+    def output(self, field: Field) -> Field:
+        """What ``field``, of the group, is outside."""
+        if (key := self._key(field)) not in self._known:
+            identifier = self._declare(field, "OUTPUT")
+            self.tree.links.new(field.socket, socket_of(self._put_out.inputs, identifier))
+            self._known[key] = self._as(field, self.node.outputs, identifier)
+        return self._known[key]
+
+    def _key(self, field: Field) -> tuple[str, str, str]:
+        tree, node = field.socket.id_data, field.socket.node
+        assert tree is not None
+        return tree.name, node.name, field.socket.identifier
+
+    def _declare(self, field: Field, in_out: str) -> str:
+        interface: Any = self.tree.interface  # which types a socket may have is known only to Blender
+        socket = field.socket
+        name = field.name or socket.node.label or socket.name
+        name = name[:1].upper() + name[1:]
+        kind = _KINDS.get(socket.type, socket.type.title())
+        return interface.new_socket(name, in_out=in_out, socket_type=f"NodeSocket{kind}").identifier
+
+    def _as(self, field: Field, sockets: Any, identifier: str) -> Field:
+        return Field(field.builder, socket_of(sockets, identifier), field.name)
+
+
+#: Types of sockets whose classes are called otherwise.
+_KINDS = {"VALUE": "Float", "RGBA": "Color", "BOOLEAN": "Bool"}
+
+
+def socket_of(sockets: Any, identifier: str) -> bpy.types.NodeSocket:
+    """The one of a node's inputs or outputs with that identifier."""
+    return next(socket for socket in sockets if socket.identifier == identifier)
+
+
 class GeometryBuilder(NodeBuilder):
-    """Adds geometry nodes to a tree."""
+    """Adds geometry nodes to a tree, and groups of them."""
+
+    def __init__(self, tree: bpy.types.NodeTree) -> None:
+        super().__init__(tree)
+        self._groups: dict[str, _Group] = {}
+        self._open: list[_Group] = []
+
+    @contextmanager
+    def group(self, name: str) -> Iterator[None]:
+        """Nodes added inside belong to a node group of that name. Its fields are used outside as they are.
+
+        For whoever reads the tree, and for Blender, which works through a whole tree after each node and each
+        link that it is given.
+        """
+        group = _Group(name, self.tree)
+        self._groups[group.tree.name] = group
+        frame, self._frame = self._frame, None
+        self._open.append(group)
+        self.tree = group.tree
+        yield
+        self.arrange()
+        self._open.pop()
+        self.tree, self._frame = group.outside, frame
+        group.close(self.node("GeometryNodeGroup", node_tree=group.tree))
+        for identifier, field in group.wanted.items():
+            self._connect(field, socket_of(group.node.inputs, identifier))
+
+    def discard(self) -> None:
+        """Remove the groups: what they are of could not be built."""
+        bpy.data.batch_remove([group.tree for group in self._groups.values()])
+
+    def _here(self, field: Field) -> Field:
+        around = [group.tree for group in self._open]
+        tree: Any = field.socket.id_data
+        while tree.name in self._groups and tree not in around:
+            field, tree = self._groups[tree.name].output(field), self._groups[tree.name].outside
+        for group in self._open[around.index(tree) + 1 if tree in around else 0 :]:
+            field = group.inside(field)
+        return field
 
     def named(self, attribute: Attribute, as_type: AttributeType | None = None) -> Field:
         """The attribute of each point; ``as_type`` where nodes know its own type under another name."""

@@ -43,7 +43,7 @@ from .splat_nodes import camera_fields, draw
 from .tone_curve import ToneCurve
 
 #: The version of this recipe, part of what marks a tree.
-_RECIPE = 7
+_RECIPE = 8
 
 
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModifier:
@@ -112,7 +112,12 @@ def radiance_tree(
         tree.is_modifier = True
         _declare_interface(tree, curve is not None, lights)
         declare_cleaning(tree.interface, sh_degree > 0)
-        _Assembly(tree).build(sh_degree, levels, curve, lights)
+        assembly = _Assembly(tree)
+        try:
+            assembly.build(sh_degree, levels, curve, lights)
+        except BaseException:
+            assembly.make.discard()
+            raise
     return tree
 
 
@@ -188,18 +193,21 @@ class _Assembly:
             self.position = make.field("GeometryNodeInputPosition")
             self.opacity = make.field(
                 "FunctionNodeSeparateColor", make.named(BASE, as_type="FLOAT_COLOR"), output="Alpha"
+            ).called("opacity")
+        with make.group("PhysHDR camera"):
+            self.camera = camera_fields(make, self.position)
+        with make.group("PhysHDR cleaning"):
+            geometry = clean(
+                make,
+                self.inputs["Geometry"],
+                self.position,
+                make.named(SCALE),
+                self.opacity,
+                self.camera,
+                self.inputs,
             )
-        self.camera = camera_fields(make, self.position)
-        geometry = clean(
-            make,
-            self.inputs["Geometry"],
-            self.position,
-            make.named(SCALE),
-            self.opacity,
-            self.camera,
-            self.inputs,
-        )
-        log_radiance = self._log_radiance(sh_degree)
+        with make.group("PhysHDR log radiance"):
+            log_radiance = self._log_radiance(sh_degree)
         geometry, radiance = self._relight(geometry, log_radiance, levels, lights)
         geometry = self._expose(geometry, radiance, curve)
         draw(make, geometry, self.opacity, self.camera, self.inputs)
@@ -211,7 +219,7 @@ class _Assembly:
         with make.frame("Log radiance = Σ sh_k Y_k(ω)"):
             constant = make.named(LOG_SH[0]) * C0
             if sh_degree == 0:
-                return constant
+                return constant.called("log radiance")
             basis = self._basis(sh_degree)
             rest: Field | None = None
             for degree in range(1, sh_degree + 1):
@@ -225,7 +233,8 @@ class _Assembly:
                 "FunctionNodeBooleanMath", self.inputs[VIEW_DEPENDENT], self.camera.exists, operation="AND"
             )
             wanted = make.field("FunctionNodeBooleanMath", wanted, self._reaches(1), operation="AND")
-            return constant + make.switch(wanted, (0.0, 0.0, 0.0), rest, "VECTOR")
+            rest = make.switch(wanted, (0.0, 0.0, 0.0), rest, "VECTOR")
+            return (constant + rest).called("log radiance")
 
     def _reaches(self, degree: int) -> Field:
         """Whether SH of that degree are wanted."""

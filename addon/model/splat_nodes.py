@@ -9,7 +9,7 @@
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from ...bridge.splatting import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS, NEAR_PLANE
 from .attributes import ROTATION, SCALE
@@ -53,6 +53,10 @@ class CameraFields:
     is_even: Field
     #: Nearest depth that is drawn.
     near: Field
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            getattr(self, each.name).name = each.name.replace("_", " ")
 
 
 def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
@@ -123,7 +127,7 @@ def draw(
         pixel = camera.half_width * 2.0 / make.math("MAXIMUM", inputs[IMAGE_WIDTH], 1.0)
         pixel = pixel * make.switch(camera.is_orthographic, camera.depth, camera.unit)
         wanted = make.math("GREATER_THAN", inputs[IMAGE_WIDTH], 0.0)
-        widening = pixel * pixel * (wanted * LOW_PASS) * camera.exists
+        widening = (pixel * pixel * (wanted * LOW_PASS) * camera.exists).called("widening")
     with make.frame("Reach: standard deviations to alpha = 1/255"):
         reach = make.math("SQRT", make.math("LOGARITHM", opacity * (1.0 / ALPHA_MIN), math.e) * 2.0)
         visible = make.math("GREATER_THAN", opacity, ALPHA_MIN)
@@ -133,7 +137,8 @@ def draw(
         ellipsoid_scale = make.vector("POWER", scale * scale + widening, 0.5) * reach
         icosphere = make.field("GeometryNodeMeshIcoSphere", ICOSPHERE_RADIUS, 1)
         ellipsoid = make.field("GeometryNodeSetMaterial", icosphere, None, splat_material("ellipsoid"))
-    card_rotation, card_scale = _card(make, camera, rotation, scale, widening)
+    with make.group("PhysHDR card"):
+        card_rotation, card_scale = _card(make, camera, rotation, scale, widening)
     with make.frame("Camera splat: a card"):
         card_scale = card_scale * reach
         card = make.field("GeometryNodeMeshCircle", 8, 1.0823922, fill_type="NGON")
@@ -200,4 +205,4 @@ def _card(
             primary_axis="Z",
             secondary_axis="X",
         )
-    return turn, deviations
+    return turn.called("rotation"), deviations.called("standard deviations")

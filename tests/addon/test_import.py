@@ -141,9 +141,10 @@ def test_operator_imports_selects_and_names(registered, make_model, write):
 
 def test_two_models_of_one_kind_share_the_tree_and_the_materials(registered, make_model, write):
     path = str(write(make_model()))
-    for _ in range(2):
-        bpy.ops.physhdr.model_import(filepath=path)
-    assert len(bpy.data.node_groups) == 1
+    bpy.ops.physhdr.model_import(filepath=path)
+    trees = [*bpy.data.node_groups]
+    bpy.ops.physhdr.model_import(filepath=path)
+    assert [*bpy.data.node_groups] == trees and sum(nodes.MARK in tree for tree in trees) == 1
     assert len(bpy.data.materials) == 2
     first, second = bpy.data.objects
     assert first.data[attributes.IDENTITY] != second.data[attributes.IDENTITY]
@@ -169,8 +170,8 @@ def without_cycles():
 
 def test_without_cycles_a_model_is_imported_whole(registered, make_model, write, without_cycles):
     assert bpy.ops.physhdr.model_import(filepath=str(write(make_model()))) == {"FINISHED"}
-    [tree] = bpy.data.node_groups
-    assert any(node.bl_idname == "NodeGroupOutput" for node in tree.nodes)
+    assert all(any(node.bl_idname == "NodeGroupOutput" for node in t.nodes) for t in bpy.data.node_groups)
+    assert sum(nodes.MARK in tree for tree in bpy.data.node_groups) == 1
     for material in bpy.data.materials:
         assert any(node.bl_idname == "ShaderNodeOutputMaterial" for node in material.node_tree.nodes)
     assert bpy.ops.physhdr.render_setup() == {"FINISHED"}
@@ -187,7 +188,9 @@ def test_what_was_imported_without_cycles_is_no_lamp_once_a_render_is_set_up(
     assert splat.cycles.emission_sampling == "NONE"
 
 
-@pytest.mark.parametrize("broken", [(materials, "_build"), (radiance_tree, "declare_cleaning")])
+@pytest.mark.parametrize(
+    "broken", [(materials, "_build"), (radiance_tree, "declare_cleaning"), (radiance_tree, "draw")]
+)
 def test_what_could_not_be_built_is_not_found_by_the_next_import(
     registered, make_model, write, monkeypatch, broken
 ):

@@ -381,6 +381,22 @@ def test_several_probes_blend_by_how_near_they_are(scene, model, tmp_path):
         assert got.sum() == pytest.approx(1.0, rel=1e-4)
 
 
+def test_cycles_looks_for_bright_places_no_finer_than_there_are_pixels(scene, model, tmp_path):
+    """By itself it takes a map of 4096, and ten CPU seconds for it. What the user chose stays."""
+    scene.world = bpy.data.worlds.new("theirs")
+    folder = write_probe(tmp_path / "probe", (1.0,) * 3, (0,) * 3, (0,) * 3)
+    world = light(folder)
+    assert (world.cycles.sampling_method, world.cycles.sample_map_resolution) == ("MANUAL", WIDTH)
+    world[lighting.SAMPLED] = world.cycles.sample_map_resolution = WIDTH // 2  # as of a smaller probe
+    assert light(folder).cycles.sample_map_resolution == WIDTH
+    world.cycles.sample_map_resolution = 2048
+    assert light(folder).cycles.sample_map_resolution == 2048
+    world.cycles.sampling_method = "NONE"
+    assert light(folder).cycles.sampling_method == "NONE"
+    bpy.ops.physhdr.light_reset()
+    assert scene.world.name == "theirs" and scene.world.cycles.sampling_method == "AUTOMATIC"
+
+
 @pytest.mark.parametrize("measured", [True, False])
 def test_a_deleted_probe_weighs_nothing(scene, model, tmp_path, measured):
     """Whether there is something to measure distances from, or all count alike."""

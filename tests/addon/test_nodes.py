@@ -11,6 +11,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from physhdr.addon.blender import to_matrix  # noqa: E402
 from physhdr.addon.model import attributes, look, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.model.node_builder import GeometryBuilder  # noqa: E402
 from physhdr.addon.model.radiance_tree import radiance_tree  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.lights import Levels  # noqa: E402
@@ -261,7 +262,48 @@ def test_the_nearest_that_is_drawn_is_in_the_scenes_metres(add, scene, scale):
 
 def test_every_node_has_a_frame_or_a_place_of_its_own(scene):
     """The tree can be read in the editor: no two nodes lie upon each other."""
-    for tree in (radiance_tree(3, (0.5, 1.0, 2.0)), radiance_tree(1, lights=LIGHTS)):
+    radiance_tree(3, (0.5, 1.0, 2.0))
+    radiance_tree(1, lights=LIGHTS)
+    assert len(bpy.data.node_groups) > 2
+    for tree in bpy.data.node_groups:
         places = [tuple(node.location) for node in tree.nodes if node.type != "FRAME"]
         assert len(places) == len(set(places))
         assert all(node.label for node in tree.nodes if node.type == "FRAME")
+
+
+def test_groups_are_wired_by_name(scene):
+    """What goes into a group is what it is called, and nothing of it is left to a default."""
+    radiance_tree(2)
+    wired = [node for tree in bpy.data.node_groups for node in tree.nodes if node.type == "GROUP"]
+    assert len(wired) == len(bpy.data.node_groups) - 1
+    for node in wired:
+        assert all(socket.is_linked for socket in [*node.inputs, *node.outputs]), node.node_tree.name
+        names = [socket.name for socket in node.inputs], [socket.name for socket in node.outputs]
+        assert all(len(set(each)) == len(each) for each in names)
+        assert not {"Value", "Vector", "Output"} & {name for each in names for name in each}
+        assert all(tree.users == 1 for tree in bpy.data.node_groups if not tree.is_modifier)
+
+
+def test_a_group_inside_of_a_group_is_reached_by_the_fields_of_another(scene):
+    """Nodes of any tree may be joined: the number that comes out went in and out of three groups."""
+    tree = bpy.data.node_groups.new("whole", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    make = GeometryBuilder(tree)
+    five = make.field("ShaderNodeValue")
+    five.socket.default_value = 5.0
+    with make.group("outer"):
+        doubled = five * 2.0
+        with make.group("inner"):
+            deep = doubled + five
+    with make.group("other"), make.group("another"):
+        last = deep * doubled - five
+    geometry = make.field("GeometryNodePoints", 1)
+    stored = make.store(geometry, attributes.CONFIDENCE, last)
+    make.node("NodeGroupOutput", stored)
+    target = bpy.data.objects.new("target", bpy.data.meshes.new("target"))
+    scene.collection.objects.link(target)
+    target.modifiers.new("nodes", "NODES").node_group = tree
+    geometry = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
+    assert (
+        geometry.pointcloud.attributes[attributes.CONFIDENCE.name].data[0].value == (5 * 2 + 5) * (5 * 2) - 5
+    )

@@ -42,8 +42,10 @@ def test_pyright_looks_as_on_each_system(lint, whole):
     assert systems["Linux"][-1] == "Linux"  # every file that pyproject.toml includes
 
 
-def test_the_quick_ones_are_those_of_one_system(lint):
+def test_the_quick_ones_are_those_of_one_system_and_the_others_the_rest(lint):
     assert lint.checks(quick=True).items() < lint.checks().items()
+    assert lint.checks(quick=True) | lint.checks(others=True) == lint.checks()
+    assert not lint.checks(quick=True).keys() & lint.checks(others=True).keys()
     words = [word for command in lint.checks(quick=True).values() for word in command]
     assert "Linux" in words and not {"Windows", "Darwin"} & set(words)
 
