@@ -96,6 +96,7 @@ def draw(look_at, tmp_path):
 def add_sky(scene) -> None:
     """Radiance 1 in red, the sine of the elevation in green, blue 0.25; below the horizon nothing."""
     world = bpy.data.worlds.new("sky")
+    world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 128
     scene.world = world
     tree = world.node_tree
     tree.nodes.clear()

@@ -107,6 +107,7 @@ def test_directions_are_cycles_own(scene, tmp_path):
     image = bpy.data.images.load(str(tmp_path / "directions.exr"))
     image.colorspace_settings.name = "Non-Color"
     scene.world = bpy.data.worlds.new("test")
+    scene.world.cycles.sampling_method = "NONE"
     tree = scene.world.node_tree
     tree.nodes.clear()
     texture, shader, output = (
