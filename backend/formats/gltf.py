@@ -178,18 +178,20 @@ class _Gltf:
         self.buffers: dict[int, bytes] = {}
 
     def splats(self) -> GltfSplats:
-        stored: dict[int, int] = {}
+        stored: set[int] = set()
         clouds: list[SplatCloud] = []
         spaces: set[Space] = set()
-        for mesh, matrix in self._placed():
-            for primitive, extension in _splat_primitives(mesh):
-                count = sum(cloud.count for cloud in clouds)
-                if count > max(FREE, MOST_TIMES * sum(stored.values())):
-                    break  # joined() says why
-                cloud, space = self._gaussians(primitive, extension)
-                stored[id(primitive)] = cloud.count
-                clouds.append(moved(self.path, cloud, matrix))
-                spaces.add(space)
+        total = in_file = 0
+        for primitive, extension, matrix in self._splats():
+            if total > max(FREE, MOST_TIMES * in_file):
+                break  # joined() says why
+            cloud, space = self._gaussians(primitive, extension)
+            total += cloud.count
+            if id(primitive) not in stored:
+                in_file += cloud.count
+            stored.add(id(primitive))
+            clouds.append(moved(self.path, cloud, matrix))
+            spaces.add(space)
         if not clouds:
             raise BadValueError(
                 f"{self.path} has no Gaussians ({EXTENSION})",
@@ -197,7 +199,7 @@ class _Gltf:
             )
         if len(spaces) > 1:
             raise BadValueError(f"{self.path}: its Gaussians have two colour spaces", "Export each alone.")
-        return GltfSplats(joined(self.path, clouds, sum(stored.values())), spaces.pop())
+        return GltfSplats(joined(self.path, clouds, in_file), spaces.pop())
 
     def damaged(self, what: str) -> FileDamagedError:
         return FileDamagedError(f"{self.path} is not a readable glTF: {what}", REMEDY)
@@ -267,6 +269,12 @@ class _Gltf:
         return read_bytes(self.path.parent / name, REMEDY, LARGEST)
 
     # -- nodes -----------------------------------------------------------------------------------------------
+
+    def _splats(self) -> Iterator[tuple[dict[str, Any], Any, np.ndarray]]:
+        """Each primitive of Gaussians in the scene with its extension, and the matrix of where it stands."""
+        for mesh, matrix in self._placed():
+            for primitive, extension in _splat_primitives(mesh):
+                yield primitive, extension, matrix
 
     def _placed(self) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
         """Each mesh of the scene, and the matrix ``[4, 4]`` of where it stands."""
