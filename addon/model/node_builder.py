@@ -141,7 +141,7 @@ class NodeBuilder:
             if node.type != "FRAME":
                 groups.setdefault(node.parent, []).append(node)
         left = 0.0
-        places: dict[str, tuple[float, float]] = {}
+        places = {node.name: (node.location[0], node.location[1]) for node in self.tree.nodes}
         for nodes in groups.values():
             columns = self._columns(nodes)
             for index, column in enumerate(columns):
@@ -152,7 +152,7 @@ class NodeBuilder:
                     top -= HEADER_HEIGHT + SOCKET_HEIGHT * sockets + ROW_GAP
             left += len(columns) * COLUMN_WIDTH + FRAME_GAP
         # All at once: after each that is set alone Blender works through the whole tree.
-        flat = [x for node in self.tree.nodes for x in places.get(node.name, tuple(node.location))]
+        flat = [x for node in self.tree.nodes for x in places[node.name]]
         self.tree.nodes.foreach_set("location", flat)
 
     def _columns(self, nodes: list[bpy.types.Node]) -> list[list[bpy.types.Node]]:
@@ -209,12 +209,12 @@ class _Group:
 
     def _key(self, field: Field) -> tuple[str, str, str]:
         tree, node = field.socket.id_data, field.socket.node
-        assert tree is not None
+        assert tree is not None and node is not None  # of a socket that has none there is no field
         return tree.name, node.name, field.socket.identifier
 
     def _declare(self, field: Field, in_out: str) -> str:
         interface: Any = self.tree.interface  # which types a socket may have is known only to Blender
-        socket = field.socket
+        socket: Any = field.socket
         name = field.name or socket.node.label or socket.name
         name = name[:1].upper() + name[1:]
         kind = _KINDS.get(socket.type, socket.type.title())
