@@ -138,7 +138,7 @@ def render_size(scene: bpy.types.Scene, percentage: float = 100.0) -> tuple[int,
 
 
 def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material | bpy.types.World) -> Any:
-    """Cycles' settings of a scene or a material: Cycles registers them, as an extension does."""
+    """Cycles' settings of a scene, a material or a world: Cycles registers them, as an extension does."""
     return cast(Any, of).cycles
 
 

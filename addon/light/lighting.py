@@ -172,7 +172,7 @@ def _marked_worlds(mark: str | None) -> list[bpy.types.World]:
 def _sample_as_wide_as(world: bpy.types.World, width: int) -> None:
     """Let Cycles look for what is bright in a map of ``width``, unless the user chose one.
 
-    By itself it takes one of 4096 for nodes like ours, and ten CPU seconds for it whenever anything changes.
+    By itself it takes one of 4096 for nodes like ours, and ten CPU seconds for it at each render.
     """
     if not hasattr(world, "cycles"):  # it can be switched off as an extension can
         return

@@ -55,7 +55,7 @@ class CameraFields:
     near: Field
 
     def __post_init__(self) -> None:
-        for each in fields(self):
+        for each in fields(self):  # what node groups call them
             getattr(self, each.name).name = each.name.replace("_", " ")
 
 

@@ -189,7 +189,7 @@ class _Gltf:
             total += cloud.count
             if id(primitive) not in stored:
                 in_file += cloud.count
-            stored.add(id(primitive))
+                stored.add(id(primitive))
             clouds.append(moved(self.path, cloud, matrix))
             spaces.add(space)
         if not clouds:
