@@ -3,6 +3,7 @@
 
     .venvs/run-blender tools/keep_truth.py -- bear dog --passes 256 --work FOLDER
     .venvs/run-blender tools/keep_truth.py -- bear --passes 256,1024,1024 --reference --work FOLDER
+    .venvs/run-blender tools/keep_truth.py -- chair --passes 256,1024 --device GPU --work FOLDER
 
 A pass (synth/truth.py) has so many samples and is denoised by itself; the truth is the mean of all, weighted
 by their samples. Every test and validation view of a scene gets the first pass before any gets the second,
@@ -27,7 +28,7 @@ import numpy as np
 
 from physhdr.bridge.data_set import TEST, VALIDATION
 from physhdr.bridge.lock import Claims
-from physhdr.synth import dataset, exr, floors, folder, kept, noise, rig, settings
+from physhdr.synth import dataset, device, exr, floors, folder, kept, noise, rig, settings
 from physhdr.synth.built_in import SCENES, built
 from physhdr.synth.errors import ConflictError
 from physhdr.synth.options import REFERENCE_FACTOR, Options, seconds
@@ -53,6 +54,7 @@ class View:
     work: Path
     target: Path | None = None
     denoised: bool = True
+    cycles_device: str = Options.device
 
     def state(self) -> tuple[np.ndarray | None, dict[str, Any]]:
         """The mean so far and its facts; the kept one's where that has more passes."""
@@ -75,6 +77,7 @@ class View:
         """One pass more; the facts after it."""
         mean, facts = self.state()
         passes, began = facts["passes"], time.process_time()
+        devices = {*facts.get("devices", [Options.device] if passes else []), self.cycles_device}
         seed = pass_seed(view_seed(SEED, self.name), len(passes))
         rendered = TruthRenderer(camera, samples).once(samples, self.pose, seed, folder.scratch(self.work))
         new = rendered.radiance({}) if self.denoised else rendered.raw
@@ -89,6 +92,7 @@ class View:
             "seed": SEED,
             "cpu_seconds": round(facts["cpu_seconds"] + time.process_time() - began, 1),
             "camera_to_world": self.pose.tolist(),
+            **({} if devices == {Options.device} else {"devices": sorted(devices)}),
         }
         text = {FACTS: json.dumps(facts, sort_keys=True)}
         folder.write(self.work, exr.encode_rgb(mean, text))
@@ -108,14 +112,15 @@ class View:
 class Scene:
     """The views of a scene: those that are kept, and those that tell how good these are."""
 
-    def __init__(self, name: str, cameras: CameraHints, work: Path) -> None:
+    def __init__(self, name: str, cameras: CameraHints, work: Path, cycles_device: str) -> None:
         self.name, self.work, self.target = name, work / name, DATA / name
+        self.device = cycles_device
         for place in (self.work, self.target):
             place.mkdir(parents=True, exist_ok=True)
         poses = rig.poses(RIG, cameras, VIEWS, 0, VALIDATION_VIEWS.get(name, 0))
         self.middle = len(poses.test) // 2
         self.kept = [
-            View(f"{split}_{k:03d}", pose, self.work / file, self.target / file)
+            View(f"{split}_{k:03d}", pose, self.work / file, self.target / file, cycles_device=cycles_device)
             for split, of_split in ((TEST, poses.test), (VALIDATION, poses.validation))
             for k, pose in enumerate(of_split)
             for file in [kept.file_name(split, k)]
@@ -126,7 +131,8 @@ class Scene:
         ]
 
     def _beside(self, name: str, denoised: bool, pose: np.ndarray) -> View:
-        return View(f"{TEST}_{self.middle:03d}/{name}", pose, self.work / f"{name}.exr", None, denoised)
+        path = self.work / f"{name}.exr"
+        return View(f"{TEST}_{self.middle:03d}/{name}", pose, path, None, denoised, self.device)
 
     def describe(self) -> dict[str, Any] | None:
         """The content of truth.json; None as long as not all views are there."""
@@ -136,6 +142,7 @@ class Scene:
             return None
         exposures, response = seconds(SCENES[self.name].evs), by_name(Options.crf)
         truth = self.kept[self.middle].mean
+        devices = {name for view in views for name in view.state()[1].get("devices", [])}
         told: dict[str, Any] = {
             "format": kept.FORMAT,
             "version": kept.VERSION,
@@ -153,6 +160,7 @@ class Scene:
             "samples": sum(passes),
             "exposures": list(exposures),
             "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.kept)),
+            **({"devices": sorted(devices)} if devices else {}),
             "noise_floor": {
                 "view": self.middle,
                 "response": Options.crf,
@@ -172,14 +180,20 @@ class Scene:
         return told
 
 
-def work_on(name: str, passes: list[int], reference: bool, work: Path) -> None:
-    """Render until all views have these passes, and the reference its own."""
+def work_on(
+    name: str, passes: list[int], reference: bool, work: Path, cycles_device: str = Options.device
+) -> None:
+    """Render until all views have these passes, and the reference its own.
+
+    Raises ``DeviceError`` where Cycles finds no GPU and one is asked for.
+    """
     with (
+        device.chosen(cycles_device),
         built(name) as stage,
-        settings.applied(stage.scene, settings.ground_truth(SIZE, PASS, threads=1)),
+        settings.applied(stage.scene, settings.ground_truth(SIZE, PASS, cycles_device, threads=1)),
         renderer(stage, DENOISE) as camera,
     ):
-        scene = Scene(name, stage.cameras, work)
+        scene = Scene(name, stage.cameras, work, cycles_device)
         with Claims(scene.work / ".claims", print) as claims:
             for count in range(1, len(passes) + 1):
                 for view in (*scene.kept, scene.again):
@@ -232,10 +246,11 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", choices=list(SCENES))
     parser.add_argument("--passes", type=sizes, default=[PASS], metavar="N,N,…", help="samples of each")
     parser.add_argument("--reference", action="store_true")
+    parser.add_argument("--device", choices=device.DEVICES, default=Options.device)
     parser.add_argument("--work", type=Path, required=True)
     given = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
     for scene in given.scenes:
-        work_on(scene, given.passes, given.reference, given.work)
+        work_on(scene, given.passes, given.reference, given.work, given.device)
 
 
 if __name__ == "__main__":

@@ -170,6 +170,14 @@ class NodeBuilder:
         return columns
 
 
+_KINDS = {"VALUE": "Float", "RGBA": "Color", "BOOLEAN": "Bool"}
+
+
+def socket_of(sockets: Any, identifier: str) -> bpy.types.NodeSocket:
+    """The one of a node's inputs or outputs with that identifier."""
+    return next(socket for socket in sockets if socket.identifier == identifier)
+
+
 class _Group:
     """A node group of ``outside``. Its sockets are made for the fields that go in and come out."""
 
@@ -225,12 +233,6 @@ class _Group:
 
 
 #: Types of sockets whose classes are called otherwise.
-_KINDS = {"VALUE": "Float", "RGBA": "Color", "BOOLEAN": "Bool"}
-
-
-def socket_of(sockets: Any, identifier: str) -> bpy.types.NodeSocket:
-    """The one of a node's inputs or outputs with that identifier."""
-    return next(socket for socket in sockets if socket.identifier == identifier)
 
 
 class GeometryBuilder(NodeBuilder):

@@ -154,9 +154,10 @@ void main()
     float bright = dot(radiance, vec3(0.2126, 0.7152, 0.0722));
     radiance = tint * (0.3 + 0.7 * bright / (1.0 + bright));
   }
-  /* In standard deviations along the two axes; the triangle encloses where alpha is 1/255 or more. */
-  from_centre = corner * shine.w;
-  vec2 pixel = place.xy + from_centre.x * axes.xy + from_centre.y * axes.zw;
+  /* The triangle encloses where alpha is 1/255 or more: so many standard deviations along the two axes. */
+  vec2 pixel = place.xy + shine.w * (corner.x * axes.xy + corner.y * axes.zw);
+  centre = place.xy;
+  per_pixel = vec4(axes.xy / dot(axes.xy, axes.xy), axes.zw / dot(axes.zw, axes.zw));
   vec2 clip = 2.0 * pixel / size - 1.0;
   /* Not drawn: outside the clip volume. */
   gl_Position = opacity > 0.0 ? vec4(clip.x, -clip.y, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
@@ -166,7 +167,10 @@ void main()
 _BLENDED = """
 void main()
 {
-  float alpha = min(ALPHA_MAX, opacity * exp(-0.5 * dot(from_centre, from_centre)));
+  /* For each pixel: what a GPU interpolates is only as exact as it snaps corners, often to 1/256 pixel. */
+  vec2 away = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y) - centre;
+  vec2 deviations = vec2(dot(away, per_pixel.xy), dot(away, per_pixel.zw));
+  float alpha = min(ALPHA_MAX, opacity * exp(-0.5 * dot(deviations, deviations)));
   if (alpha < ALPHA_MIN) {
     discard;
   }
@@ -206,7 +210,8 @@ def create_projection() -> gpu.types.GPUShader:
 def create_drawing() -> gpu.types.GPUShader:
     info = _new_info()
     interface = gpu.types.GPUStageInterfaceInfo("physhdr_splat")
-    interface.smooth("VEC2", "from_centre")
+    interface.flat("VEC2", "centre")  # pixels, from the top left
+    interface.flat("VEC4", "per_pixel")  # the two axes, standard deviations for each pixel along them
     interface.flat("VEC3", "radiance")
     interface.flat("FLOAT", "opacity")
     interface.flat("FLOAT", "depth")

@@ -4,6 +4,7 @@
 import importlib.util
 import json
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def tool(monkeypatch, tmp_path):
 def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
     tool.work_on("ball", [PASS], False, tmp_path / "work")
     told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
-    assert told["samples"] == PASS and "reference_floor" not in told
+    assert told["samples"] == PASS and "reference_floor" not in told and "devices" not in told
     shutil.rmtree(tmp_path / "work")  # another machine: only what is kept is there
     tool.work_on("ball", [PASS, PASS], True, tmp_path / "work")
     told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
@@ -127,6 +128,14 @@ def test_passes_weigh_as_much_as_they_have_samples(tool, tmp_path):
     np.testing.assert_allclose(mean, sum(pictures) / 48, rtol=1e-5, atol=1e-6)
     with pytest.raises(ConflictError, match=r"has the passes \[8, 24, 16\]"):
         tool.work_on("ball", [8, 24, 8, 8], False, tmp_path / "work")
+
+
+def test_what_a_gpu_rendered_is_told(tool, tmp_path, monkeypatch):
+    monkeypatch.setattr(tool.device, "chosen", lambda _: nullcontext())  # Cycles then takes the CPU
+    tool.work_on("ball", [PASS], False, tmp_path / "work", "GPU")
+    tool.work_on("ball", [PASS, PASS], False, tmp_path / "work")
+    assert json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())["devices"] == ["CPU", "GPU"]
+    assert kept.read(tmp_path / "kept/ball/test_000.exr")[1]["devices"] == ["CPU", "GPU"]
 
 
 def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
