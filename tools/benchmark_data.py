@@ -43,8 +43,6 @@ SAMPLES = {
 SEALED = ("chair", "desk")
 #: Validation views of the scenes that choices are made on, as tools/keep_truth.py has them.
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
-#: Of the test views of a sealed scene, whose truth is rendered when it is opened.
-TRUTH_SAMPLES = 2048
 #: What is made without a name: the open scenes, and what benchmarks/ladder.toml asks for beside them.
 USUAL = (*(name for name in SAMPLES if name not in SEALED), "bathroom-local")
 #: What real cameras do (docs/camera.md): what make_scene.py is told of it.
@@ -120,9 +118,6 @@ def _truth(scene: str) -> list[str]:
     validation = ["--validation-views", str(VALIDATION_VIEWS.get(scene, 0))]
     if (KEPT / scene / "truth.json").exists():
         return ["--test-truth", str(KEPT / scene), *validation]
-    if scene in SEALED:
-        print(f"[data] {scene}: rendering its truth, which takes hours")
-        return ["--test-samples", str(TRUTH_SAMPLES), *validation]
     print(f"[data] {scene}: no truth of it is kept yet, so its test views have the noise of training views")
     return validation
 
