@@ -156,8 +156,10 @@ void main()
   }
   /* The triangle encloses where alpha is 1/255 or more: so many standard deviations along the two axes. */
   vec2 pixel = place.xy + shine.w * (corner.x * axes.xy + corner.y * axes.zw);
-  centre = place.xy;
+  /* As gl_FragCoord counts, from the bottom left. */
+  centre = vec2(place.x, size.y - place.y);
   per_pixel = vec4(axes.xy / dot(axes.xy, axes.xy), axes.zw / dot(axes.zw, axes.zw));
+  per_pixel *= vec4(1.0, -1.0, 1.0, -1.0);
   vec2 clip = 2.0 * pixel / size - 1.0;
   /* Not drawn: outside the clip volume. */
   gl_Position = opacity > 0.0 ? vec4(clip.x, -clip.y, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
@@ -168,7 +170,7 @@ _BLENDED = """
 void main()
 {
   /* For each pixel: what a GPU interpolates is only as exact as it snaps corners, often to 1/256 pixel. */
-  vec2 away = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y) - centre;
+  vec2 away = gl_FragCoord.xy - centre;
   vec2 deviations = vec2(dot(away, per_pixel.xy), dot(away, per_pixel.zw));
   float alpha = min(ALPHA_MAX, opacity * exp(-0.5 * dot(deviations, deviations)));
   if (alpha < ALPHA_MIN) {
@@ -210,7 +212,7 @@ def create_projection() -> gpu.types.GPUShader:
 def create_drawing() -> gpu.types.GPUShader:
     info = _new_info()
     interface = gpu.types.GPUStageInterfaceInfo("physhdr_splat")
-    interface.flat("VEC2", "centre")  # pixels, from the top left
+    interface.flat("VEC2", "centre")  # pixels
     interface.flat("VEC4", "per_pixel")  # the two axes, standard deviations for each pixel along them
     interface.flat("VEC3", "radiance")
     interface.flat("FLOAT", "opacity")
