@@ -92,7 +92,7 @@ class View:
             "seed": SEED,
             "cpu_seconds": round(facts["cpu_seconds"] + time.process_time() - began, 1),
             "camera_to_world": self.pose.tolist(),
-            **({} if devices == {Options.device} else {"devices": sorted(devices)}),
+            **_told_of(devices),
         }
         text = {FACTS: json.dumps(facts, sort_keys=True)}
         folder.write(self.work, exr.encode_rgb(mean, text))
@@ -107,6 +107,11 @@ class View:
             return
         if not self.target.exists() or kept.read(self.target)[1]["passes"] != facts["passes"]:
             kept.write(self.target, mean, facts)
+
+
+def _told_of(devices: set[str]) -> dict[str, list[str]]:
+    """What Cycles rendered with, where that was not the CPU alone."""
+    return {} if devices == {Options.device} else {"devices": sorted(devices)}
 
 
 class Scene:
@@ -142,7 +147,7 @@ class Scene:
             return None
         exposures, response = seconds(SCENES[self.name].evs), by_name(Options.crf)
         truth = self.kept[self.middle].mean
-        devices = {name for view in views for name in view.state()[1].get("devices", [])}
+        devices = {name for view in views for name in view.state()[1].get("devices", [Options.device])}
         told: dict[str, Any] = {
             "format": kept.FORMAT,
             "version": kept.VERSION,
@@ -160,7 +165,7 @@ class Scene:
             "samples": sum(passes),
             "exposures": list(exposures),
             "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.kept)),
-            **({"devices": sorted(devices)} if devices else {}),
+            **_told_of(devices),
             "noise_floor": {
                 "view": self.middle,
                 "response": Options.crf,

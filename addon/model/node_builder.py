@@ -170,6 +170,7 @@ class NodeBuilder:
         return columns
 
 
+#: Types of sockets whose classes are called otherwise.
 _KINDS = {"VALUE": "Float", "RGBA": "Color", "BOOLEAN": "Bool"}
 
 
@@ -230,9 +231,6 @@ class _Group:
 
     def _as(self, field: Field, sockets: Any, identifier: str) -> Field:
         return Field(field.builder, socket_of(sockets, identifier), field.name)
-
-
-#: Types of sockets whose classes are called otherwise.
 
 
 class GeometryBuilder(NodeBuilder):
