@@ -27,6 +27,7 @@ import bpy
 import numpy as np
 
 from physhdr.bridge.data_set import TEST, VALIDATION
+from physhdr.bridge.errors import PhysHDRError
 from physhdr.bridge.lock import Claims
 from physhdr.synth import dataset, device, exr, floors, folder, kept, noise, rig, settings
 from physhdr.synth.built_in import SCENES, built
@@ -54,7 +55,8 @@ class View:
     work: Path
     target: Path | None = None
     denoised: bool = True
-    cycles_device: str = Options.device
+    #: What Cycles renders further passes with.
+    device: str = Options.device
 
     def state(self) -> tuple[np.ndarray | None, dict[str, Any]]:
         """The mean so far and its facts; the kept one's where that has more passes."""
@@ -77,7 +79,7 @@ class View:
         """One pass more; the facts after it."""
         mean, facts = self.state()
         passes, began = facts["passes"], time.process_time()
-        devices = {*facts.get("devices", [Options.device] if passes else []), self.cycles_device}
+        devices = {*facts.get("devices", [Options.device] if passes else []), self.device}
         seed = pass_seed(view_seed(SEED, self.name), len(passes))
         rendered = TruthRenderer(camera, samples).once(samples, self.pose, seed, folder.scratch(self.work))
         new = rendered.radiance({}) if self.denoised else rendered.raw
@@ -125,7 +127,7 @@ class Scene:
         poses = rig.poses(RIG, cameras, VIEWS, 0, VALIDATION_VIEWS.get(name, 0))
         self.middle = len(poses.test) // 2
         self.kept = [
-            View(f"{split}_{k:03d}", pose, self.work / file, self.target / file, cycles_device=cycles_device)
+            View(f"{split}_{k:03d}", pose, self.work / file, self.target / file, device=cycles_device)
             for split, of_split in ((TEST, poses.test), (VALIDATION, poses.validation))
             for k, pose in enumerate(of_split)
             for file in [kept.file_name(split, k)]
@@ -254,8 +256,11 @@ def main() -> None:
     parser.add_argument("--device", choices=device.DEVICES, default=Options.device)
     parser.add_argument("--work", type=Path, required=True)
     given = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
-    for scene in given.scenes:
-        work_on(scene, given.passes, given.reference, given.work, given.device)
+    try:
+        for scene in given.scenes:
+            work_on(scene, given.passes, given.reference, given.work, given.device)
+    except PhysHDRError as error:
+        sys.exit(f"error: {error.message}{': ' + error.hint if error.hint else ''}")
 
 
 if __name__ == "__main__":
