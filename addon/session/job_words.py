@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Remedies of the trainer, which name options of its command line, in the words of Blender's panel. Pure."""
+"""What the backend says, with the options of its command line in the words of Blender's panel. Pure."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 
 from ...bridge.messages import Failure
+from .light import LIGHT
+from .results import BAKE, EVALUATE, VIDEO, WEB
 
 #: What the trainer says, as an expression, and the same for who has the panel; whole remedies come first.
 PHRASES = (
@@ -33,20 +36,53 @@ PHRASES = (
     ),
     (r", (lower --anchors\.voxel-size, )?or train with --initial-points random", ""),
 )
+#: The same for what is made of a run or a model, and the words for where the result goes, by task.
+PHRASES_OF_RESULTS = (
+    (r", where --path \w+ stays", ""),
+    (r"\bAdd --sweep exposure or lighting\b", "Set Change to Exposure or Light"),
+    (r"\bUse --sweep exposure, .* with light \(default\)", "Set Change to Exposure, or train with Default"),
+    (r"\bGive a --sweep-range whose ends differ\b", "Set Change to something else"),
+    (r"\bwrite --frames instead", "set Format to Pictures"),
+    (r"\bwrite an \.mp4", "set Format to MP4"),
+    (r"--seconds\b", "Length"),
+    (r"--fps\b", "Frames a Second"),
+    (r"--width\b", "Width"),
+    (r"--exposure(?!-)\b", "Exposure (s)"),
+    (r"--exposure-ev\b", "Exposure (EV)"),
+    (r"--lighting-levels\b", "Light"),
+    (r"--lpips-weights\b", "LPIPS Weights"),
+    (r": --data DATA\b", ": Data Set"),
+)
+TARGETS = {EVALUATE: "Run", VIDEO: "File", WEB: "File", BAKE: "temporary folder", LIGHT: "folder"}
 #: Below a remedy with an option that the panel has no counterpart of.
-OF_THE_COMMAND_LINE = "What begins with -- is an option of physhdr train, on the command line."
+OF_THE_COMMAND_LINE = "What begins with -- is an option of physhdr {}, on the command line."
+#: The commands of the tasks that are called otherwise.
+COMMANDS = {WEB: "export", BAKE: "convert", LIGHT: "panorama"}
 
 
 def in_panel_words(text: str) -> str:
     """A remedy with the trainer's options as the panel calls them; what it has not stays as it is."""
-    for said, meant in PHRASES:
-        text = re.sub(said, meant, text)
-    return text
+    return _replaced(text, PHRASES)
 
 
 def for_panel(failure: Failure) -> Failure:
     """A failure with its remedy in the panel's words; an option that the panel has not is told to be one."""
-    hint = in_panel_words(failure.hint)
-    if re.search(r"(^|[\s(])--[a-z]", hint):
-        hint = f"{hint} {OF_THE_COMMAND_LINE}"
-    return replace(failure, hint=hint)
+    return replace(failure, hint=_explained(in_panel_words(failure.hint), "train"))
+
+
+def of_result(message: str, hint: str, task: str) -> tuple[str, str]:
+    """The same of a task that makes something of a run or a model: what failed, and the remedy."""
+    phrases = (*PHRASES_OF_RESULTS, (r"--(out|web|frames)\b", TARGETS[task]))
+    message, hint = (_replaced(text, phrases) for text in (message, hint))
+    return message, _explained(hint, COMMANDS.get(task, task))
+
+
+def _replaced(text: str, phrases: Iterable[tuple[str, str]]) -> str:
+    for said, meant in phrases:
+        text = re.sub(said, meant, text)
+    return text
+
+
+def _explained(hint: str, command: str) -> str:
+    is_there = re.search(r"(^|[\s(])--[a-z]", hint)
+    return f"{hint} {OF_THE_COMMAND_LINE.format(command)}" if is_there else hint

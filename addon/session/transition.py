@@ -202,6 +202,8 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
         message, hint = in_panel_words(message), in_panel_words(hint)
     elif event.task == DATASET:
         message, hint = in_the_dialogs_words(message), in_the_dialogs_words(hint)
+    elif event.task in job_words.TARGETS:
+        message, hint = job_words.of_result(message, hint, event.task)
     problem = None if event.ok else Problem(message, hint, log)
     match event.task:
         case name if name in (INSTALL, CHECK):

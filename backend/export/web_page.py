@@ -247,7 +247,7 @@ def remove_web_page(folder: Path) -> None:
     except OSError as error:
         raise OutputError(
             f"cannot remove {target}: {error.strerror or error}",
-            "Close the program that has it open, or choose another --out.",
+            "Close the program that has it open, or choose another --web.",
         ) from error
     _remove(folder / name for name in beside)
     with contextlib.suppress(OSError):  # somebody's files are in it

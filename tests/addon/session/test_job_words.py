@@ -4,7 +4,8 @@
 import pytest
 
 from physhdr.addon.session.advice import problem_of
-from physhdr.addon.session.job_words import OF_THE_COMMAND_LINE, for_panel
+from physhdr.addon.session.job_words import OF_THE_COMMAND_LINE, TARGETS, for_panel
+from physhdr.addon.session.results import EVALUATE, VIDEO, WEB
 from physhdr.addon.session.state import (
     Asked,
     Backend,
@@ -14,7 +15,9 @@ from physhdr.addon.session.state import (
     Received,
     Refused,
     State,
+    TaskStarted,
 )
+from physhdr.addon.session.task import TaskEnded
 from physhdr.addon.session.transition import transition
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.bridge.messages import Failure, JobStatus, TrainStart
@@ -94,7 +97,7 @@ def test_a_folder_that_cannot_be_trained_in_is_called_as_in_the_panel(tmp_path, 
         # What the panel has not stays, for it helps all the same, and says of what it is.
         (
             "Train fewer Gaussians: --densify.budget 60000.",
-            f"Train fewer Gaussians: --densify.budget 60000. {OF_THE_COMMAND_LINE}",
+            f"Train fewer Gaussians: --densify.budget 60000. {OF_THE_COMMAND_LINE.format('train')}",
         ),
     ],
 )
@@ -108,3 +111,86 @@ def test_a_backend_that_cannot_begin_names_the_preference():
     ended, _ = transition(starting, ProcessEnded(1, "  Choose a --home on a disk of this machine."))
     assert (problem := problem_of(ended))
     assert "Choose a Backend's Folder (in the preferences) on a disk" in problem.message
+
+
+def said_of(task: str, message: str, hint: str) -> tuple[str, str]:
+    """What the panel tells of a task that failed: what, and the remedy."""
+    running, _ = transition(TRAINS, TaskStarted(task, "log"))
+    failed, _ = transition(running, TaskEnded(task, False, message=message, hint=hint))
+    assert failed.problem
+    return failed.problem.message, failed.problem.hint
+
+
+def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path):
+    pytest.importorskip("torch", reason="the commands' own errors need their environment")
+    from physhdr.backend.cli.video import Video
+    from physhdr.backend.export import web_page
+
+    def told(task, attempt) -> str:
+        with pytest.raises(PhysHDRError) as refused:
+            attempt()
+        return ": ".join(said_of(task, refused.value.message, refused.value.hint))
+
+    short = Video(tmp_path, out=tmp_path / "video.webp", seconds=0.1, fps=1)
+    assert told(VIDEO, short._check) == (
+        "Length 0.1 at Frames a Second 1 is too short: a video needs 2 frames: Raise one of them."
+    )
+
+    def unchanging():
+        raise Video(tmp_path, path="orbit")._unchanging()
+
+    assert told(VIDEO, unchanging) == (
+        "all frames would be the same: the training cameras are all in one place: "
+        "Set Change to Exposure or Light."
+    )
+
+    def one_exposure():
+        raise Video(tmp_path, sweep="exposure")._unchanging()
+
+    assert told(VIDEO, one_exposure).endswith("the data set has one exposure: Set Change to something else.")
+    (page := tmp_path / "page.html").write_text("mine")
+    assert told(WEB, lambda: web_page.refuse_what_is_not_ours(page)) == (
+        f"{page} is there, and PhysHDR did not write it: Choose another File, or move it away."
+    )
+
+
+@pytest.mark.parametrize(
+    ("task", "said", "told"),
+    [
+        (
+            VIDEO,
+            "Use --sweep exposure, or train a preset with light (default).",
+            "Set Change to Exposure, or train with Default.",
+        ),
+        (
+            VIDEO,
+            "Check the disk's space, or write --frames instead.",
+            "Check the disk's space, or set Format to Pictures.",
+        ),
+        (
+            VIDEO,
+            "Lower --seconds, --fps or --width, or write an .mp4.",
+            "Lower Length, Frames a Second or Width, or set Format to MP4.",
+        ),
+        (WEB, "Choose another --web, or make room.", "Choose another File, or make room."),
+        (
+            EVALUATE,
+            "Choose another --out, or make it writable.",
+            "Choose another Run, or make it writable.",
+        ),
+        # What the panel has not stays, for it helps all the same, and says of what it is.
+        (
+            EVALUATE,
+            "Evaluate the validation views: --split val.",
+            f"Evaluate the validation views: --split val. {OF_THE_COMMAND_LINE.format('evaluate')}",
+        ),
+    ],
+)
+def test_remedies_of_results_are_called_as_in_the_panel(task, said, told):
+    assert said_of(task, "it failed", said) == ("it failed", told)
+
+
+@pytest.mark.parametrize("task", TARGETS)
+def test_where_a_result_goes_has_a_name_in_every_task(task):
+    _, hint = said_of(task, "it failed", "Choose another --out, or make it writable.")
+    assert hint == f"Choose another {TARGETS[task]}, or make it writable."
