@@ -12,7 +12,7 @@ from ...bridge.errors import PhysHDRError
 from ...bridge.probe import MUCH_UNSEEN
 from ..blender import add_handlers, cloud_of, remove_handlers
 from ..layouts.camera_file import Frame, read_frames
-from ..model.drawn import drawn_of
+from ..model.drawn import drawn_of, fingerprint
 from ..model.look import cleaning_of
 from ..model.origin import data_of
 from .probes import Place, has_moved, known
@@ -20,9 +20,10 @@ from .probes import Place, has_moved, known
 #: Custom properties of a probe: whether no camera saw its place, what of the model was hidden then, and what
 #: its Gaussians drew (``model.drawn``).
 OUTSIDE, HIDDEN, DRAWN = "physhdr_probe_outside", "physhdr_probe_hidden", "physhdr_probe_drawn"
-#: What point clouds draw, by ``session_uid``, until Blender tells of a change. It tells of their modifiers',
-#: each step of a model's slider, as of their own; then the panel asks for the sum anew.
-_drawn: dict[int, str] = {}
+#: What point clouds draw, and their ``fingerprint`` when that was found, by ``session_uid``.
+_drawn: dict[int, tuple[tuple[int, ...], str]] = {}
+#: Those of which Blender has told a change since: perhaps of a modifier's input alone.
+_suspects: set[int] = set()
 
 
 def note(probe: bpy.types.Object, model: bpy.types.Object, drawn: str) -> None:
@@ -57,9 +58,18 @@ def _is_edited(probe: bpy.types.Object, model: bpy.types.Object) -> bool:
         return True
     if DRAWN not in probe or model.mode != "OBJECT":
         return False
-    if cloud.session_uid not in _drawn:
-        _drawn[cloud.session_uid] = drawn_of(cloud)
-    return _drawn[cloud.session_uid] != probe[DRAWN]
+    return _drawn_now(cloud) != probe[DRAWN]
+
+
+def _drawn_now(cloud: bpy.types.PointCloud) -> str:
+    """``drawn_of`` a cloud, found anew where its Gaussians have changed."""
+    uid = cloud.session_uid
+    if uid not in _drawn or uid in _suspects:
+        now = fingerprint(cloud)
+        if uid not in _drawn or _drawn[uid][0] != now:
+            _drawn[uid] = now, drawn_of(cloud)
+        _suspects.discard(uid)
+    return _drawn[uid][1]
 
 
 def _hidden(model: bpy.types.Object) -> str:
@@ -115,22 +125,28 @@ def _sees(frame: Frame, at: np.ndarray) -> bool:
 
 
 @persistent
-def _forget_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+def _suspect_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     for each in depsgraph.updates if _drawn else ():
         if isinstance(each.id, bpy.types.PointCloud):
             original: Any = each.id.original  # never None, whatever its type says
-            _drawn.pop(original.session_uid, None)
+            _suspects.add(original.session_uid)
+
+
+@persistent
+def _suspect_all(*_: object) -> None:
+    _suspects.update(_drawn)
 
 
 @persistent
 def _forget_all(*_: object) -> None:
     _drawn.clear()
+    _suspects.clear()
 
 
 _HANDLERS = (
-    ("depsgraph_update_post", _forget_changed),
-    ("undo_post", _forget_all),
-    ("redo_post", _forget_all),
+    ("depsgraph_update_post", _suspect_changed),
+    ("undo_post", _suspect_all),
+    ("redo_post", _suspect_all),
     ("load_post", _forget_all),
 )
 
@@ -141,4 +157,4 @@ def register() -> None:
 
 def unregister() -> None:
     remove_handlers(_HANDLERS)
-    _drawn.clear()
+    _forget_all()

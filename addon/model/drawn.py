@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a model's Gaussians draw, as a short text: where that is another, the model was edited."""
+"""What a model's Gaussians draw, as numbers: where these are others, the model was edited."""
 
 import re
 import zlib
@@ -11,6 +11,8 @@ import numpy as np
 from ...bridge.model_file import Model
 from .attributes import (
     BASE,
+    CAMERA_DISTANCE,
+    CONFIDENCE,
     LEVEL_LOG_GAIN,
     LIGHT_SHARE,
     LOG_SH,
@@ -30,6 +32,11 @@ _DRAWN = re.compile(
     + "|".join(re.escape(each.prefix) for each in (LOG_SH, LIGHT_SHARE, LEVEL_LOG_GAIN))
     + r")\d+"
 )
+
+
+#: What the 3D view draws besides. Not the radius, which changes as Blender's own drawing of points is
+#: switched on and off.
+_SHOWN = {CAMERA_DISTANCE.name, CONFIDENCE.name}
 
 
 def drawn_of(cloud: bpy.types.PointCloud) -> str:
@@ -52,3 +59,21 @@ def _told(attributes: Iterable[tuple[str, np.ndarray]]) -> str:
         name = LIGHT_SHARE[0].name if name == OLD_SHARE.name else name
         sums[name] = f"{zlib.crc32(np.asarray(counting, np.float32).tobytes()):08x}"
     return f"{zlib.crc32(repr(sorted(sums.items())).encode()):08x}"
+
+
+def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
+    """Changes when points are added, deleted, moved, turned, resized, recoloured, relit or measured (1 M
+    Gaussians of degree 1: 12 ms, of degree 3: 26 ms). Sums of bits, of this session alone.
+
+    Blender reports a changed modifier input, each step of a model's slider, as a changed point cloud: this
+    tells cheaply whether what is slow to make from its Gaussians is to be made anew.
+    """
+    names = [each.name for each in cloud.attributes if _DRAWN.fullmatch(each.name) or each.name in _SHOWN]
+    return len(cloud.points), *(_sum_of_bits(read_attribute(cloud, name)) for name in names)
+
+
+def _sum_of_bits(values: np.ndarray) -> int:
+    """Of 64 at a time: four times as fast as of 32."""
+    bits = values.reshape(-1).view(np.uint32)
+    pairs = bits[: len(bits) // 2 * 2].view(np.uint64)
+    return int(pairs.sum()) + int(bits[2 * len(pairs) :].sum())

@@ -15,13 +15,10 @@ from ...bridge.model_file import DARKEST
 from ...bridge.spherical_harmonics import C0, degree_of
 from ..model.attributes import (
     BASE,
-    CAMERA_DISTANCE,
     CONFIDENCE,
     IDENTITY,
     LEVEL_LOG_GAIN,
-    LIGHT_SHARE,
     LOG_SH,
-    OLD_SHARE,
     POSITION,
     ROTATION,
     SCALE,
@@ -38,10 +35,6 @@ LIGHTS_MAX = 255
 _serial = itertools.count()
 
 _REQUIRED = (POSITION, SCALE, ROTATION, BASE, LOG_SH[0])
-#: Attributes of which pictures are made, by name or by what their names begin with. Not the radius, which
-#: changes as Blender's own drawing of points is switched on and off.
-_DRAWN = {each.name for each in (POSITION, SCALE, ROTATION, BASE, OLD_SHARE, CAMERA_DISTANCE, CONFIDENCE)}
-_DRAWN_NUMBERED = tuple(each.prefix for each in (LOG_SH, LIGHT_SHARE, LEVEL_LOG_GAIN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,25 +111,6 @@ def confidence_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
 def identity(cloud: bpy.types.PointCloud) -> str:
     """What stays the same over undo and renaming; copies of a cloud share it, and their values."""
     return str(cloud.get(IDENTITY) or cloud.name_full)
-
-
-def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
-    """Changes when points are added, deleted, moved, turned, resized, recoloured, relit or measured (1 M
-    Gaussians of degree 1: 12 ms, of degree 3: 26 ms).
-
-    Sums of the bits of all that is drawn. Blender reports a changed modifier input as a changed point cloud;
-    uploading again at every step of a slider would be slow.
-    """
-    names = [each.name for each in cloud.attributes]
-    names = [name for name in names if name in _DRAWN or name.startswith(_DRAWN_NUMBERED)]
-    return len(cloud.points), *(_sum_of_bits(read_attribute(cloud, name)) for name in names)
-
-
-def _sum_of_bits(values: np.ndarray) -> int:
-    """Of 64 at a time: four times as fast as of 32."""
-    bits = values.reshape(-1).view(np.uint32)
-    pairs = bits[: len(bits) // 2 * 2].view(np.uint64)
-    return int(pairs.sum()) + int(bits[2 * len(pairs) :].sum())
 
 
 @dataclass(frozen=True, eq=False)

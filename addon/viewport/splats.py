@@ -19,6 +19,7 @@ from ...bridge import srgb
 from ..blender import add_handlers, cloud_of, remove_handlers
 from ..model.attributes import BY_SHADER, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY, NODES, SPLATS
 from ..model.cleaning import Cleaning
+from ..model.drawn import fingerprint
 from ..model.look import Look, is_model, kept_of, look_of
 from ..model.nodes import find_modifier
 from ..model.point_cloud import read_tone_curve
@@ -34,7 +35,6 @@ from .splat_data import (
     Marks,
     SplatTextures,
     confidence_arrays,
-    fingerprint,
     identity,
     is_splats,
     read_arrays,

@@ -624,6 +624,27 @@ def test_an_edited_model_is_not_drawn_from_its_file(scene, model, monkeypatch, t
     assert told() == ("", [])
 
 
+def test_a_step_of_a_slider_reads_no_gaussians_for_the_panel(scene, model, monkeypatch, tmp_path):
+    """Blender tells of it as of a change of the Gaussians, which cost 0.2 s a million to look through."""
+    light(write_probe(tmp_path / "probe", 1.0, 1.0, 1.0))
+    [probe] = probes.probes_of(scene, model)
+    looked = []
+
+    def look(cloud: bpy.types.PointCloud) -> str:
+        looked.append(cloud.name)
+        return drawn_of(cloud)
+
+    monkeypatch.setattr(probe_checks, "drawn_of", look)
+    assert probe_checks.warnings_of(probe, model) == [] and len(looked) == 1
+    uid = model.data.session_uid
+    for step in range(3):
+        nodes.set_input(nodes.find_modifier(model), nodes.EXPOSURE, 0.1 * step)
+        bpy.context.view_layer.update()
+        assert uid in probe_checks._suspects  # Blender has told of it
+        assert probe_checks.warnings_of(probe, model) == []
+    assert len(looked) == 1
+
+
 def test_a_file_that_was_trained_on_is_not_the_model_here(scene, model, make_model, write, monkeypatch):
     """A training writes its model where the last one was imported from."""
     state = State(backend=Backend(python="python", report={"versions": {}}))

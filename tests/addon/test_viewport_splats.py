@@ -13,8 +13,9 @@ import gpu  # noqa: E402
 
 from physhdr.addon import viewport  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.model.drawn import fingerprint  # noqa: E402
 from physhdr.addon.panels import illumination  # noqa: E402
-from physhdr.addon.viewport import splat_data, splats  # noqa: E402
+from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
@@ -405,8 +406,8 @@ def test_an_edit_of_whatever_is_drawn_is_seen(scene, make_model, write, modulato
     drawn |= {f"physhdr:{lit}_{k}" for k in range(2 if modulator == "additive" else 4)}
     assert drawn <= set(cloud.attributes.keys())
     for name in [*drawn, "radius"]:
-        before = splat_data.fingerprint(cloud)
-        assert splat_data.fingerprint(cloud) == before
+        before = fingerprint(cloud)
+        assert fingerprint(cloud) == before
         if name == "radius":
             cloud.points[40].radius += 0.1
         else:
@@ -414,7 +415,7 @@ def test_an_edit_of_whatever_is_drawn_is_seen(scene, make_model, write, modulato
             values.reshape(-1)[-1] *= np.float32(1.0 + 2e-7)
             attribute = attributes.Attribute(name, cloud.attributes[name].data_type)
             point_cloud.write_attribute(cloud, attribute, values)
-        assert (splat_data.fingerprint(cloud) != before) == (name in drawn), name
+        assert (fingerprint(cloud) != before) == (name in drawn), name
 
 
 def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, make_model, write):
