@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 
 from physhdr.backend.evaluate import truth
-from physhdr.backend.evaluate.picture_folder import PictureFolder, write_pictures
+from physhdr.backend.evaluate.picture_folder import UNFINISHED, PictureFolder, write_pictures
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.report import to_dict
@@ -367,6 +367,27 @@ def test_some_views_of_a_mixture_are_none(small, data_set, tmp_path) -> None:
 def test_a_data_sets_own_pictures_are_never_replaced(small, scene) -> None:
     with pytest.raises(BadValueError, match="is the data set: its own pictures would be replaced"):
         write_pictures(Model(small), scene, scene.root / ".." / scene.root.name)
+
+
+def test_an_interruption_leaves_the_pictures_that_were_there(small, scene, tmp_path) -> None:
+    """Whole: pictures of two models would be measured as if they were one's."""
+
+    class Interrupted(Model):
+        def hdr(self, camera, lighting_level=1.0):
+            if camera == scene.test[-1].camera:
+                raise KeyboardInterrupt
+            return 0.5 * super().hdr(camera, lighting_level)
+
+    folder = tmp_path / "theirs"
+    write_pictures(Model(small), scene, folder)
+    written = {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
+    (folder / UNFINISHED).mkdir()
+    (folder / UNFINISHED / "0.png").touch()  # of one that was killed
+    with pytest.raises(KeyboardInterrupt):
+        write_pictures(Interrupted(small), scene, folder)
+    assert len(scene.test) > 1
+    assert written == {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
+    assert not (folder / UNFINISHED).exists()
 
 
 def test_what_would_stay_among_a_models_pictures_is_refused(small, scene, photos, tmp_path) -> None:
