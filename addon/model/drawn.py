@@ -32,8 +32,6 @@ _DRAWN = re.compile(
     + "|".join(re.escape(each.prefix) for each in (LOG_SH, LIGHT_SHARE, LEVEL_LOG_GAIN))
     + r")\d+"
 )
-
-
 #: What the 3D view draws besides. Not the radius, which changes as Blender's own drawing of points is
 #: switched on and off.
 _SHOWN = {CAMERA_DISTANCE.name, CONFIDENCE.name}

@@ -36,7 +36,8 @@ PHRASES = (
     ),
     (r", (lower --anchors\.voxel-size, )?or train with --initial-points random", ""),
 )
-#: The same for what is made of a run or a model, and the words for where the result goes, by task.
+#: The same for what is made of a run or a model; then options one by one, and the words for where the result
+#: goes, by task.
 PHRASES_OF_RESULTS = (
     (r", where --path \w+ stays", ""),
     (r"\bAdd --sweep exposure or lighting\b", "Set Change to Exposure or Light"),
@@ -44,16 +45,20 @@ PHRASES_OF_RESULTS = (
     (r"\bGive a --sweep-range whose ends differ\b", "Set Change to something else"),
     (r"\bwrite --frames instead", "set Format to Pictures"),
     (r"\bwrite an \.mp4", "set Format to MP4"),
-    (r"--seconds\b", "Length"),
-    (r"--fps\b", "Frames a Second"),
-    (r"--width\b", "Width"),
-    (r"--exposure(?!-)\b", "Exposure (s)"),
-    (r"--exposure-ev\b", "Exposure (EV)"),
-    (r"--lighting-levels\b", "Light"),
-    (r"--lpips-weights\b", "LPIPS Weights"),
     (r": --data DATA\b", ": Data Set"),
 )
+OPTIONS_OF_RESULTS = {
+    "--seconds": "Length",
+    "--fps": "Frames a Second",
+    "--width": "Width",
+    "--exposure": "Exposure (s)",
+    "--exposure-ev": "Exposure (EV)",
+    "--lighting-levels": "Light",
+    "--lpips-weights": "LPIPS Weights",
+}
 TARGETS = {EVALUATE: "Run", VIDEO: "File", WEB: "File", BAKE: "temporary folder", LIGHT: "folder"}
+#: At the beginning of a word: a folder may be called like an option.
+OPTION = re.compile(r"(?<![^\s(])--[a-z][a-z-]*")
 #: Below a remedy with an option that the panel has no counterpart of.
 OF_THE_COMMAND_LINE = "What begins with -- is an option of physhdr {}, on the command line."
 #: The commands of the tasks that are called otherwise.
@@ -72,9 +77,13 @@ def for_panel(failure: Failure) -> Failure:
 
 def of_result(message: str, hint: str, task: str) -> tuple[str, str]:
     """The same of a task that makes something of a run or a model: what failed, and the remedy."""
-    phrases = (*PHRASES_OF_RESULTS, (r"--(out|web|frames)\b", TARGETS[task]))
-    message, hint = (_replaced(text, phrases) for text in (message, hint))
-    return message, _explained(hint, COMMANDS.get(task, task))
+    names = OPTIONS_OF_RESULTS | dict.fromkeys(("--out", "--web", "--frames"), TARGETS[task])
+
+    def told(text: str) -> str:
+        text = _replaced(text, PHRASES_OF_RESULTS)
+        return OPTION.sub(lambda found: names.get(found[0], found[0]), text)
+
+    return told(message), _explained(told(hint), COMMANDS.get(task, task))
 
 
 def _replaced(text: str, phrases: Iterable[tuple[str, str]]) -> str:
@@ -84,5 +93,4 @@ def _replaced(text: str, phrases: Iterable[tuple[str, str]]) -> str:
 
 
 def _explained(hint: str, command: str) -> str:
-    is_there = re.search(r"(^|[\s(])--[a-z]", hint)
-    return f"{hint} {OF_THE_COMMAND_LINE.format(command)}" if is_there else hint
+    return f"{hint} {OF_THE_COMMAND_LINE.format(command)}" if OPTION.search(hint) else hint

@@ -178,6 +178,7 @@ def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path)
             "Choose another --out, or make it writable.",
             "Choose another Run, or make it writable.",
         ),
+        (WEB, "Move /home/me/a--out/--web.html away.", "Move /home/me/a--out/--web.html away."),
         # What the panel has not stays, for it helps all the same, and says of what it is.
         (
             EVALUATE,
