@@ -12,6 +12,10 @@ Backward: S depends on x through 𝒢x, 𝒢x² and 𝒢xy, and 𝒢 is its own 
     ∂ΣS/∂x = 𝒢p + 2x 𝒢q + y 𝒢r,    r = ∂S/∂(𝒢xy) = 2A₁/(B₁B₂),    q = ∂S/∂(𝒢x²) = −S/B₂,
                                     p = ∂S/∂(𝒢x) = 2μ₂(A₂ − A₁)/(B₁B₂) − 2μ₁S (1/B₁ − 1/B₂)
 
+A loss may ask for more *contrast* κ where there is little: B₂ = σ₁ + σ₂ + (1 + κ) C₂. Detail of a variance
+σ₂ ≪ C₂ that the prediction knows with a correlation ρ alone gets the contrast √(σ₁/σ₂) = ρ from S, as from
+a squared error, and (1 + κ) ρ then; where σ₂ ≫ C₂, S asks for all of the contrast anyway.
+
 The mean absolute or squared difference x − y, the other half of L_rec, comes along: the pixels are at hand.
 
 Both passes are three separable blurs at once, row by row: down the columns into three row buffers, then
@@ -55,17 +59,20 @@ _R = TAPS // 2
 
 
 class SsimTarget:
-    """A target image ``[C, H, W]`` with what SSIM needs of it computed once (three times its size)."""
+    """A target image ``[C, H, W]`` with what SSIM needs of it computed once (three times its size).
 
-    def __init__(self, image: torch.Tensor) -> None:
-        self.shape = tuple(image.shape)
+    ``contrast``: κ, which its variance holds from here on.
+    """
+
+    def __init__(self, image: torch.Tensor, contrast: float = 0.0) -> None:
+        self.shape, self.contrast = tuple(image.shape), contrast
         self.padded = _padded(image)
         self.mean, self.variance = (np.empty_like(self.padded) for _ in range(2))
         channels, height, _ = self.shape
         plane, row = self.padded.shape[1:]
         run_ranges(
             *(_target_rows, channels * height, height, plane, row, self.padded.reshape(-1)),
-            *(ssim_window(), self.mean.reshape(-1), self.variance.reshape(-1)),
+            *(ssim_window(), np.float32(contrast * C2), self.mean.reshape(-1), self.variance.reshape(-1)),
             minimum=32,
         )
 
@@ -81,56 +88,61 @@ class SsimTarget:
         return self.padded.nbytes + self.mean.nbytes + self.variance.nbytes
 
 
-def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
+def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget, contrast: float = 0.0) -> torch.Tensor:
     """Mean SSIM of two images ``[C, H, W]``, a scalar, differentiable in ``prediction``.
 
     Float32 is fused, on the CPU and by Warp; anything else goes to ``ssim_reference``. The target gets no
-    gradient from the fused path.
+    gradient from the fused path. ``contrast``: κ; a ``SsimTarget`` has its own.
     """
-    return ssim_and_error(prediction, target, "l1")[0]
+    return ssim_and_error(prediction, target, "l1", contrast)[0]
 
 
 def ssim_and_error(
-    prediction: torch.Tensor, target: torch.Tensor | SsimTarget, error: PixelError
+    prediction: torch.Tensor,
+    target: torch.Tensor | SsimTarget,
+    error: PixelError,
+    contrast: float = 0.0,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """``ssim``, and the mean absolute (``l1``) or squared (``mse``) difference, from one pass."""
     if isinstance(target, SsimTarget):
         if can_fuse(prediction):
             return _Ssim.apply(prediction, target, error)
-        target = target.image.to(prediction)
+        target, contrast = target.image.to(prediction), target.contrast
     elif can_fuse(prediction, target) and not target.requires_grad:
-        return _Ssim.apply(prediction, SsimTarget(target), error)
+        return _Ssim.apply(prediction, SsimTarget(target, contrast), error)
     difference = prediction - target
     pixel = difference.abs().mean() if error == "l1" else difference.square().mean()
-    return _not_fused(prediction, target).mean(), pixel
+    return _not_fused(prediction, target, contrast).mean(), pixel
 
 
-def ssim_map(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
+def ssim_map(
+    prediction: torch.Tensor, target: torch.Tensor | SsimTarget, contrast: float = 0.0
+) -> torch.Tensor:
     """S of every pixel ``[C, H, W]``, whose mean is ``ssim``; differentiable in ``prediction``."""
     if isinstance(target, SsimTarget):
         if can_fuse(prediction):
             return _SsimMap.apply(prediction, target)
-        target = target.image.to(prediction)
+        target, contrast = target.image.to(prediction), target.contrast
     elif can_fuse(prediction, target) and not target.requires_grad:
-        return _SsimMap.apply(prediction, SsimTarget(target))
-    return _not_fused(prediction, target)
+        return _SsimMap.apply(prediction, SsimTarget(target, contrast))
+    return _not_fused(prediction, target, contrast)
 
 
-def _not_fused(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+def _not_fused(prediction: torch.Tensor, target: torch.Tensor, contrast: float) -> torch.Tensor:
     """``ssim_map`` where the CPU's kernels cannot compute it."""
     if card_takes(prediction, target) and not target.requires_grad:
         from .card.similarity import ssim_map as on_card
 
-        return on_card(prediction, target)
-    return ssim_map_reference(prediction, target)
+        return on_card(prediction, target, contrast)
+    return ssim_map_reference(prediction, target, contrast)
 
 
-def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+def ssim_reference(prediction: torch.Tensor, target: torch.Tensor, contrast: float = 0.0) -> torch.Tensor:
     """``ssim`` in plain torch, for any dtype and device."""
-    return ssim_map_reference(prediction, target).mean()
+    return ssim_map_reference(prediction, target, contrast).mean()
 
 
-def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor, contrast: float = 0.0) -> torch.Tensor:
     """``ssim_map`` in plain torch, for any dtype and device."""
     window = _window_on(prediction.device, prediction.dtype)
     stacked = torch.stack(
@@ -141,7 +153,7 @@ def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.
     flat = functional.conv2d(flat, window.view(1, 1, TAPS, 1), padding=(_R, 0))
     m1, m2, xx, yy, xy = flat.reshape(stacked.shape).unbind(1)
     a1, a2 = 2 * m1 * m2 + C1, 2 * (xy - m1 * m2) + C2
-    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + C2
+    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + (1.0 + contrast) * C2
     return a1 * a2 / (b1 * b2)
 
 
@@ -261,8 +273,8 @@ def ssim_window() -> np.ndarray:
 
 
 @kernel
-def _target_rows(first, last, height, plane, row, y, window, mean, variance):
-    """𝒢y and 𝒢y² − (𝒢y)² of rows ``first … last − 1`` (counted over channels), at their padded places."""
+def _target_rows(first, last, height, plane, row, y, window, added, mean, variance):
+    """𝒢y and 𝒢y² − (𝒢y)² + ``added``, at their padded places, of rows ``first … last − 1`` over channels."""
     column = np.zeros((2, row), np.float32)
     mean_column, square_column = column[0], column[1]
     for line in range(first, last):
@@ -283,7 +295,7 @@ def _target_rows(first, last, height, plane, row, y, window, mean, variance):
                 m = fma(weight, load(mean_column, x + k), m)
                 s = fma(weight, load(square_column, x + k), s)
             store(m, mean, centre + x)
-            store(s - m * m, variance, centre + x)
+            store(s - m * m + added, variance, centre + x)
 
 
 @kernel
