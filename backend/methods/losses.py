@@ -22,7 +22,7 @@ class LossConfig:
     #: … and that of 1 − SSIM.
     dssim_weight: float = 0.3
     #: κ, the contrast that SSIM asks for where there is little (kernels/ssim.py); 0: SSIM as it is.
-    ssim_contrast: float = 0.5
+    ssim_contrast: float = 0.8
     #: λ2, the weight of L_cons (needs both branches).
     consistency_weight: float = 0.0
     #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/notebook.md).

@@ -11,7 +11,7 @@ from physhdr.backend.evaluate.pictures import pairs
 from physhdr.backend.evaluate.response import learned_response
 from physhdr.backend.kernels.ssim import ssim_map_reference
 from physhdr.backend.methods.base import Batch, Exposed, Facts, Recording
-from physhdr.backend.methods.losses import compared
+from physhdr.backend.methods.losses import LossConfig, compared
 from physhdr.backend.methods.registry import METHODS, new_method
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper
@@ -110,7 +110,8 @@ def test_radiance_is_compared_through_its_encoding(camera, encoding):
         predicted = np.where(exposed > 1.0, 1.055 * exposed.clip(1.0) ** (1 / 2.4) - 0.055, predicted)
     predicted = torch.from_numpy(predicted)
     by_hand = 0.7 * (predicted - picture).abs().mean()
-    by_hand += 0.3 * (1.0 - ssim_map_reference(predicted, picture).mean())
+    contrast = method.config.loss.ssim_contrast
+    by_hand += 0.3 * (1.0 - ssim_map_reference(predicted, picture, contrast).mean())
     assert terms["rec"].item() == pytest.approx(by_hand.item(), rel=1e-9)
     terms["rec"].backward()
     parameter = method.backbone.parameters["reflectance_dc"]
@@ -174,7 +175,7 @@ def test_masked_pixels_have_no_gradient_and_no_say(camera, preset):
         x, y = image.detach() * mask, picture * mask
         error = (x - y).square() if loss.pixel == "mse" else (x - y).abs()
         by_hand += loss.pixel_weight * error.sum() / error.numel()
-        by_hand += loss.dssim_weight * (1.0 - ssim_map_reference(x, y).mean())
+        by_hand += loss.dssim_weight * (1.0 - ssim_map_reference(x, y, loss.ssim_contrast).mean())
     assert values[0].item() == pytest.approx(by_hand.item(), rel=1e-12)
 
 
@@ -192,7 +193,10 @@ def test_a_mask_that_hides_nothing_changes_nothing(tiny_data, preset):
     assert {k: v.item() for k, v in whole.items()} == {k: v.item() for k, v in same.items()}
     hidden = [dataclasses.replace(r, mask=torch.zeros(shape, dtype=torch.bool)) for r in batch.recordings]
     none = trainer.method.training_outcome(dataclasses.replace(batch, recordings=tuple(hidden))).terms
-    assert none["rec"].item() == pytest.approx(0.0, abs=1e-6)
+    # Where nothing is seen SSIM is C₁C₂ / (C₁ (1 + κ) C₂), whatever is drawn.
+    loss = getattr(trainer.method.config, "loss", LossConfig(ssim_contrast=0.0))
+    least = loss.dssim_weight * (1.0 - 1.0 / (1.0 + loss.ssim_contrast))
+    assert none["rec"].item() == pytest.approx(least, abs=1e-6)
 
 
 def test_an_effect_multiplies_what_is_exposed(camera):
