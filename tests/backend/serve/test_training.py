@@ -4,10 +4,14 @@
 import dataclasses
 import json
 import math
+import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +23,6 @@ from physhdr.backend.methods.base import Facts
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
-from physhdr.backend.rasterize import cpu
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.serve import control
 from physhdr.backend.serve import engine as engine_module
@@ -61,13 +64,24 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @pytest.fixture(scope="module")
 def whole_run(tiny_data, tmp_path_factory):
-    """The same training by the command line, undisturbed, on one thread as the backend's."""
+    """The same training by the command line, undisturbed, on one thread as the backend's.
+
+    In a process of its own: what tests before this one have done to torch's threads moves the last bits.
+    """
     folder = tmp_path_factory.mktemp("whole") / "run"
-    before = cpu.thread_count(), torch.get_num_threads()
-    command = ["train", str(tiny_data), "--out", str(folder), "--iterations", str(ITERATIONS)]
-    assert main([*command, "--threads", "1"]) == 0
-    cpu.set_threads(before[0])
-    torch.set_num_threads(before[1])
+    physhdr = Path(sys.executable).with_name("physhdr")
+    command = [
+        physhdr,
+        "train",
+        tiny_data,
+        "--out",
+        folder,
+        "--iterations",
+        str(ITERATIONS),
+        "--threads",
+        "1",
+    ]
+    subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=True, capture_output=True)
     return folder
 
 
