@@ -14,7 +14,8 @@ Backward: S depends on x through 𝒢x, 𝒢x² and 𝒢xy, and 𝒢 is its own 
 
 A loss may ask for more *contrast* κ where there is little: B₂ = σ₁ + σ₂ + (1 + κ) C₂. Detail of a variance
 σ₂ ≪ C₂ that the prediction knows with a correlation ρ alone gets the contrast √(σ₁/σ₂) = ρ from S, as from
-a squared error, and (1 + κ) ρ then; where σ₂ ≫ C₂, S asks for all of the contrast anyway.
+a squared error, and (1 + κ) ρ then; where σ₂ ≫ C₂, S asks for all of the contrast anyway. What S then falls
+short of 1 where both are the same, 1 − (2σ₂ + C₂) / (2σ₂ + (1 + κ) C₂), is added to it.
 
 The mean absolute or squared difference x − y, the other half of L_rec, comes along: the pixels are at hand.
 
@@ -61,18 +62,20 @@ _R = TAPS // 2
 class SsimTarget:
     """A target image ``[C, H, W]`` with what SSIM needs of it computed once (three times its size).
 
-    ``contrast``: κ, which its variance holds from here on.
+    ``contrast``: κ.
     """
 
     def __init__(self, image: torch.Tensor, contrast: float = 0.0) -> None:
         self.shape, self.contrast = tuple(image.shape), contrast
+        #: κ C₂, which the variance holds.
+        self.added = np.float32(contrast * C2)
         self.padded = _padded(image)
         self.mean, self.variance = (np.empty_like(self.padded) for _ in range(2))
         channels, height, _ = self.shape
         plane, row = self.padded.shape[1:]
         run_ranges(
             *(_target_rows, channels * height, height, plane, row, self.padded.reshape(-1)),
-            *(ssim_window(), np.float32(contrast * C2), self.mean.reshape(-1), self.variance.reshape(-1)),
+            *(ssim_window(), self.added, self.mean.reshape(-1), self.variance.reshape(-1)),
             minimum=32,
         )
 
@@ -153,8 +156,9 @@ def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor, contrast:
     flat = functional.conv2d(flat, window.view(1, 1, TAPS, 1), padding=(_R, 0))
     m1, m2, xx, yy, xy = flat.reshape(stacked.shape).unbind(1)
     a1, a2 = 2 * m1 * m2 + C1, 2 * (xy - m1 * m2) + C2
-    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + (1.0 + contrast) * C2
-    return a1 * a2 / (b1 * b2)
+    v2, added = yy - m2 * m2, contrast * C2
+    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + v2 + added + C2
+    return a1 * a2 / (b1 * b2) + added / (2.0 * v2 + added + C2)
 
 
 class _Ssim(torch.autograd.Function):
@@ -211,7 +215,7 @@ def similarities(
     run_ranges(
         *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
         *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
-        *(target.variance.reshape(-1), ssim_window(), error == "mse", row_sums),
+        *(target.variance.reshape(-1), ssim_window(), target.added, error == "mse", row_sums),
         *(p.reshape(-1) for p in partials),
         similarity.reshape(-1),
         minimum=32,
@@ -311,6 +315,7 @@ def _ssim_rows(
     mean,
     variance,
     window,
+    added,
     squared,
     row_sums,
     p,
@@ -349,13 +354,15 @@ def _ssim_rows(
             m2 = load(mean, centre + i)
             product, square = m1 * m2, m1 * m1
             a1, a2 = 2.0 * product + C1, 2.0 * (xy - product) + C2
-            b1, b2 = fma(m2, m2, square) + C1, xx - square + load(variance, centre + i) + C2
+            v2 = load(variance, centre + i)  # with ``added``
+            b1, b2 = fma(m2, m2, square) + C1, xx - square + v2 + C2
             inverse = 1.0 / (b1 * b2)
             s = a1 * a2 * inverse
+            whole = s + added / (2.0 * v2 - added + C2)
             inside = lanes < float(width - i)
-            line_sum = line_sum + select(inside, s, 0.0)
+            line_sum = line_sum + select(inside, whole, 0.0)
             if similarity.size:
-                store(s, similarity, centre + i)
+                store(whole, similarity, centre + i)
             # Beyond the width both images are zero.
             difference = load(x_image, centre + i) - load(y_image, centre + i)
             line_error = line_error + (difference * difference if squared else absolute(difference))

@@ -48,7 +48,7 @@ class _Similarity(torch.autograd.Function):
             _down_columns,
             x.shape,
             [
-                *(Array(along, Five), Array(window, wp.float32), (1.0 + contrast) * C2),
+                *(Array(along, Five), Array(window, wp.float32), contrast * C2),
                 *(Array(similarity, wp.float32), Array(slopes, wp.vec3)),
             ],
             x.device,
@@ -86,11 +86,11 @@ def _along_rows(x: wp.array3d[float], y: wp.array3d[float], window: wp.array[flo
 def _down_columns(
     along: wp.array3d[Five],
     window: wp.array[float],
-    constant: float,
+    added: float,
     similarity: wp.array3d[float],
     slopes: wp.array3d[wp.vec3],
 ):
-    """S, with ``constant`` in B₂, and its slopes p, q and r in 𝒢x, 𝒢x² and 𝒢xy."""
+    """S for a contrast κ of ``added`` / C₂, and its slopes p, q and r in 𝒢x, 𝒢x² and 𝒢xy."""
     c, i, j = wp.tid()
     m = Five()
     for k in range(TAPS):
@@ -100,10 +100,11 @@ def _down_columns(
     a1 = 2.0 * m[0] * m[1] + C1
     a2 = 2.0 * (m[4] - m[0] * m[1]) + C2
     b1 = m[0] * m[0] + m[1] * m[1] + C1
-    b2 = m[2] - m[0] * m[0] + m[3] - m[1] * m[1] + constant
+    v2 = m[3] - m[1] * m[1]
+    b2 = m[2] - m[0] * m[0] + v2 + added + C2
     inverse = 1.0 / (b1 * b2)
     s = a1 * a2 * inverse
-    similarity[c, i, j] = s
+    similarity[c, i, j] = s + added / (2.0 * v2 + added + C2)
     p = 2.0 * m[1] * (a2 - a1) * inverse - 2.0 * m[0] * s * (1.0 / b1 - 1.0 / b2)
     slopes[c, i, j] = wp.vec3(p, -s / b2, 2.0 * a1 * inverse)
 

@@ -102,9 +102,11 @@ def test_the_contrast_that_ssim_asks_for(contrast, correlation, deviation, mean,
     assert best.item() == pytest.approx(expected, abs=0.05)
 
 
-def test_ssim_of_an_image_with_itself():
+@pytest.mark.parametrize("contrast", [0.0, 0.5])
+def test_ssim_of_an_image_with_itself(contrast):
     _, target = pictures(3, 20, 20)
-    assert kernels.ssim(target, target).item() == pytest.approx(1.0, abs=1e-6)
+    assert kernels.ssim(target, target, contrast).item() == pytest.approx(1.0, abs=1e-6)
+    assert kernels.ssim_reference(target, target, contrast).item() == pytest.approx(1.0, abs=1e-6)
 
 
 def test_ssim_flat_dark_images():
