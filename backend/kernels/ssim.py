@@ -12,11 +12,6 @@ Backward: S depends on x through 𝒢x, 𝒢x² and 𝒢xy, and 𝒢 is its own 
     ∂ΣS/∂x = 𝒢p + 2x 𝒢q + y 𝒢r,    r = ∂S/∂(𝒢xy) = 2A₁/(B₁B₂),    q = ∂S/∂(𝒢x²) = −S/B₂,
                                     p = ∂S/∂(𝒢x) = 2μ₂(A₂ − A₁)/(B₁B₂) − 2μ₁S (1/B₁ − 1/B₂)
 
-A loss may ask for more *contrast* κ where there is little: B₂ = σ₁ + σ₂ + (1 + κ) C₂. Detail of a variance
-σ₂ ≪ C₂ that the prediction knows with a correlation ρ alone gets the contrast √(σ₁/σ₂) = ρ from S, as from
-a squared error, and (1 + κ) ρ then; where σ₂ ≫ C₂, S asks for all of the contrast anyway. What S then falls
-short of 1 where both are the same, 1 − (2σ₂ + C₂) / (2σ₂ + (1 + κ) C₂), is added to it.
-
 The mean absolute or squared difference x − y, the other half of L_rec, comes along: the pixels are at hand.
 
 Both passes are three separable blurs at once, row by row: down the columns into three row buffers, then
@@ -60,22 +55,17 @@ _R = TAPS // 2
 
 
 class SsimTarget:
-    """A target image ``[C, H, W]`` with what SSIM needs of it computed once (three times its size).
+    """A target image ``[C, H, W]`` with what SSIM needs of it computed once (three times its size)."""
 
-    ``contrast``: κ.
-    """
-
-    def __init__(self, image: torch.Tensor, contrast: float = 0.0) -> None:
-        self.shape, self.contrast = tuple(image.shape), contrast
-        #: κ C₂, which the variance holds.
-        self.added = np.float32(contrast * C2)
+    def __init__(self, image: torch.Tensor) -> None:
+        self.shape = tuple(image.shape)
         self.padded = _padded(image)
         self.mean, self.variance = (np.empty_like(self.padded) for _ in range(2))
         channels, height, _ = self.shape
         plane, row = self.padded.shape[1:]
         run_ranges(
             *(_target_rows, channels * height, height, plane, row, self.padded.reshape(-1)),
-            *(ssim_window(), self.added, self.mean.reshape(-1), self.variance.reshape(-1)),
+            *(ssim_window(), self.mean.reshape(-1), self.variance.reshape(-1)),
             minimum=32,
         )
 
@@ -91,61 +81,56 @@ class SsimTarget:
         return self.padded.nbytes + self.mean.nbytes + self.variance.nbytes
 
 
-def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget, contrast: float = 0.0) -> torch.Tensor:
+def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
     """Mean SSIM of two images ``[C, H, W]``, a scalar, differentiable in ``prediction``.
 
     Float32 is fused, on the CPU and by Warp; anything else goes to ``ssim_reference``. The target gets no
-    gradient from the fused path. ``contrast``: κ; a ``SsimTarget`` has its own.
+    gradient from the fused path.
     """
-    return ssim_and_error(prediction, target, "l1", contrast)[0]
+    return ssim_and_error(prediction, target, "l1")[0]
 
 
 def ssim_and_error(
-    prediction: torch.Tensor,
-    target: torch.Tensor | SsimTarget,
-    error: PixelError,
-    contrast: float = 0.0,
+    prediction: torch.Tensor, target: torch.Tensor | SsimTarget, error: PixelError
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """``ssim``, and the mean absolute (``l1``) or squared (``mse``) difference, from one pass."""
     if isinstance(target, SsimTarget):
         if can_fuse(prediction):
             return _Ssim.apply(prediction, target, error)
-        target, contrast = target.image.to(prediction), target.contrast
+        target = target.image.to(prediction)
     elif can_fuse(prediction, target) and not target.requires_grad:
-        return _Ssim.apply(prediction, SsimTarget(target, contrast), error)
+        return _Ssim.apply(prediction, SsimTarget(target), error)
     difference = prediction - target
     pixel = difference.abs().mean() if error == "l1" else difference.square().mean()
-    return _not_fused(prediction, target, contrast).mean(), pixel
+    return _not_fused(prediction, target).mean(), pixel
 
 
-def ssim_map(
-    prediction: torch.Tensor, target: torch.Tensor | SsimTarget, contrast: float = 0.0
-) -> torch.Tensor:
+def ssim_map(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
     """S of every pixel ``[C, H, W]``, whose mean is ``ssim``; differentiable in ``prediction``."""
     if isinstance(target, SsimTarget):
         if can_fuse(prediction):
             return _SsimMap.apply(prediction, target)
-        target, contrast = target.image.to(prediction), target.contrast
+        target = target.image.to(prediction)
     elif can_fuse(prediction, target) and not target.requires_grad:
-        return _SsimMap.apply(prediction, SsimTarget(target, contrast))
-    return _not_fused(prediction, target, contrast)
+        return _SsimMap.apply(prediction, SsimTarget(target))
+    return _not_fused(prediction, target)
 
 
-def _not_fused(prediction: torch.Tensor, target: torch.Tensor, contrast: float) -> torch.Tensor:
+def _not_fused(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """``ssim_map`` where the CPU's kernels cannot compute it."""
     if card_takes(prediction, target) and not target.requires_grad:
         from .card.similarity import ssim_map as on_card
 
-        return on_card(prediction, target, contrast)
-    return ssim_map_reference(prediction, target, contrast)
+        return on_card(prediction, target)
+    return ssim_map_reference(prediction, target)
 
 
-def ssim_reference(prediction: torch.Tensor, target: torch.Tensor, contrast: float = 0.0) -> torch.Tensor:
+def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """``ssim`` in plain torch, for any dtype and device."""
-    return ssim_map_reference(prediction, target, contrast).mean()
+    return ssim_map_reference(prediction, target).mean()
 
 
-def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor, contrast: float = 0.0) -> torch.Tensor:
+def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """``ssim_map`` in plain torch, for any dtype and device."""
     window = _window_on(prediction.device, prediction.dtype)
     stacked = torch.stack(
@@ -156,9 +141,8 @@ def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor, contrast:
     flat = functional.conv2d(flat, window.view(1, 1, TAPS, 1), padding=(_R, 0))
     m1, m2, xx, yy, xy = flat.reshape(stacked.shape).unbind(1)
     a1, a2 = 2 * m1 * m2 + C1, 2 * (xy - m1 * m2) + C2
-    v2, added = yy - m2 * m2, contrast * C2
-    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + v2 + added + C2
-    return a1 * a2 / (b1 * b2) + added / (2.0 * v2 + added + C2)
+    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + C2
+    return a1 * a2 / (b1 * b2)
 
 
 class _Ssim(torch.autograd.Function):
@@ -215,7 +199,7 @@ def similarities(
     run_ranges(
         *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
         *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
-        *(target.variance.reshape(-1), ssim_window(), target.added, error == "mse", row_sums),
+        *(target.variance.reshape(-1), ssim_window(), error == "mse", row_sums),
         *(p.reshape(-1) for p in partials),
         similarity.reshape(-1),
         minimum=32,
@@ -277,8 +261,8 @@ def ssim_window() -> np.ndarray:
 
 
 @kernel
-def _target_rows(first, last, height, plane, row, y, window, added, mean, variance):
-    """𝒢y and 𝒢y² − (𝒢y)² + ``added``, at their padded places, of rows ``first … last − 1`` over channels."""
+def _target_rows(first, last, height, plane, row, y, window, mean, variance):
+    """𝒢y and 𝒢y² − (𝒢y)² of rows ``first … last − 1`` (counted over channels), at their padded places."""
     column = np.zeros((2, row), np.float32)
     mean_column, square_column = column[0], column[1]
     for line in range(first, last):
@@ -299,7 +283,7 @@ def _target_rows(first, last, height, plane, row, y, window, added, mean, varian
                 m = fma(weight, load(mean_column, x + k), m)
                 s = fma(weight, load(square_column, x + k), s)
             store(m, mean, centre + x)
-            store(s - m * m + added, variance, centre + x)
+            store(s - m * m, variance, centre + x)
 
 
 @kernel
@@ -315,7 +299,6 @@ def _ssim_rows(
     mean,
     variance,
     window,
-    added,
     squared,
     row_sums,
     p,
@@ -354,15 +337,13 @@ def _ssim_rows(
             m2 = load(mean, centre + i)
             product, square = m1 * m2, m1 * m1
             a1, a2 = 2.0 * product + C1, 2.0 * (xy - product) + C2
-            v2 = load(variance, centre + i)  # with ``added``
-            b1, b2 = fma(m2, m2, square) + C1, xx - square + v2 + C2
+            b1, b2 = fma(m2, m2, square) + C1, xx - square + load(variance, centre + i) + C2
             inverse = 1.0 / (b1 * b2)
             s = a1 * a2 * inverse
-            whole = s + added / (2.0 * v2 - added + C2)
             inside = lanes < float(width - i)
-            line_sum = line_sum + select(inside, whole, 0.0)
+            line_sum = line_sum + select(inside, s, 0.0)
             if similarity.size:
-                store(whole, similarity, centre + i)
+                store(s, similarity, centre + i)
             # Beyond the width both images are zero.
             difference = load(x_image, centre + i) - load(y_image, centre + i)
             line_error = line_error + (difference * difference if squared else absolute(difference))

@@ -129,13 +129,13 @@ class Recording(Exposed):
     picture: torch.Tensor
     mask: torch.Tensor | None = None
     #: Where what SSIM needs of the picture is kept from one iteration to the next (``train.targets``).
-    kept_target: Callable[[float], SsimTarget] | None = None
+    kept_target: Callable[[], SsimTarget] | None = None
 
-    def ssim_target(self, contrast: float) -> SsimTarget:
-        """What SSIM with that contrast needs of the picture, of which nothing is masked."""
-        return SsimTarget(self.picture, contrast) if self.kept_target is None else self.kept_target(contrast)
+    def ssim_target(self) -> SsimTarget:
+        """What SSIM needs of the picture, of which nothing is masked."""
+        return SsimTarget(self.picture) if self.kept_target is None else self.kept_target()
 
-    def with_target(self, kept: Callable[[float], SsimTarget]) -> "Recording":
+    def with_target(self, kept: Callable[[], SsimTarget]) -> "Recording":
         """The same, with a target that is kept."""
         return replace(self, kept_target=kept)
 

@@ -21,8 +21,6 @@ class LossConfig:
     pixel_weight: float = 0.7
     #: … and that of 1 − SSIM.
     dssim_weight: float = 0.3
-    #: κ, the contrast that SSIM asks for where there is little (kernels/ssim.py); 0: SSIM as it is.
-    ssim_contrast: float = 0.8
     #: λ2, the weight of L_cons (needs both branches).
     consistency_weight: float = 0.0
     #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/notebook.md).
@@ -38,8 +36,6 @@ class LossConfig:
     def __post_init__(self) -> None:
         if self.consistency_weight and self.blur_size % 2 == 0:
             raise BadValueError(f"the blur of L_cons must be an odd number of pixels, got {self.blur_size}")
-        if self.ssim_contrast < 0.0:
-            raise BadValueError(f"--method.loss.ssim-contrast must be 0 or more, got {self.ssim_contrast}")
 
 
 def reconstruction_loss(
@@ -53,8 +49,7 @@ def reconstruction_loss(
     ``ssim_target``: what SSIM needs of ``target``, where several predictions are compared with it. Of masked
     pictures both are given as ``compared`` makes them.
     """
-    errors = ssim_and_error(prediction, ssim_target or target, config.pixel, config.ssim_contrast)
-    return weighted(*errors, config)
+    return weighted(*ssim_and_error(prediction, ssim_target or target, config.pixel), config)
 
 
 def weighted(similarity: torch.Tensor, pixel: torch.Tensor, config: LossConfig) -> torch.Tensor:

@@ -120,7 +120,7 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
             return None
         if any(each.effect is not None or each.mask is not None for each in recordings):
             return None
-        targets = [each.ssim_target(loss.ssim_contrast) for each in recordings]
+        targets = [each.ssim_target() for each in recordings]
         exposures = [each.exposure for each in recordings]
         errors = response.bracket_errors(drawn.radiance, exposures, targets, loss.pixel)
         if errors is None:

@@ -296,7 +296,7 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         ``mask``: which of its pixels are compared, ``[H, W]`` bool; None: all.
         """
         loss, target = self.config.loss, compared(picture, mask)
-        ssim_target = SsimTarget(target, loss.ssim_contrast) if can_fuse(target) else None
+        ssim_target = SsimTarget(target) if can_fuse(target) else None
         images = [compared(image, mask) for image in developed.supervised]
         if ssim_target is None:  # in one pass: on a card each of its own would cost the host as much
             several = reconstruction_loss(torch.cat(images), torch.cat([target] * len(images)), loss)

@@ -209,7 +209,6 @@ FORMERLY: dict[str, Any] = {
     "config.initial_thickness": 1.0,
     "config.poses": PoseConfig(mode="off"),
     "config.optimiser.rates_for": 0,
-    "config.method.loss.ssim_contrast": 0.0,
 }
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}

@@ -80,7 +80,6 @@ def paper(iterations: int = 30_000) -> TrainConfig:
                 pixel="mse",
                 pixel_weight=0.2,
                 dssim_weight=1.0,
-                ssim_contrast=0.0,
                 consistency_weight=0.5,
                 consistency_domain="linear",
                 unit_weight=0.5,
@@ -104,7 +103,7 @@ def baseline(iterations: int = 2500) -> TrainConfig:
             lighting_level="exposure",
             composer="product",
             tone_mapper=ToneMapperConfig(anchored=False, initial_slope=None, warm_start_steps=1000),
-            loss=LossConfig(ssim_contrast=0.0, unit_weight=0.5),
+            loss=LossConfig(unit_weight=0.5),
         ),
         optimiser=OptimiserConfig(networks_times=10.0),
     )

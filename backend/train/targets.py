@@ -20,8 +20,7 @@ class SsimTargets:
     """``SsimTarget`` of pictures by view, place in its bracket and size, as many as come first and fit.
 
     None gives way to another: all are asked for again and again in turn, so that whatever went would be
-    missed before what came. But those at half size go when the first one in full is asked for. All are of
-    the one contrast that a training has.
+    missed before what came. But those at half size go when the first one in full is asked for.
     """
 
     def __init__(self, budget: int = TARGET_BYTES) -> None:
@@ -36,13 +35,13 @@ class SsimTargets:
             return recording
         return recording.with_target(partial(self._get, view, k, recording.picture, is_half))
 
-    def _get(self, view: View, k: int, picture: torch.Tensor, is_half: bool, contrast: float) -> SsimTarget:
+    def _get(self, view: View, k: int, picture: torch.Tensor, is_half: bool) -> SsimTarget:
         if is_half != self._is_half:
             self._kept.clear()
             self.bytes_held, self._is_half = 0, is_half
         target = self._kept.get((view, k))
         if target is None:
-            target = SsimTarget(picture, contrast)
+            target = SsimTarget(picture)
             if self.bytes_held + target.nbytes <= self.budget:
                 self._kept[view, k] = target
                 self.bytes_held += target.nbytes

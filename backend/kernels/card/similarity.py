@@ -3,8 +3,7 @@
 """``kernels.ssim_map`` in Warp: two passes over the picture forward, two backward.
 
 As tensor operations SSIM is some sixty launches over five blurred pictures each way. The mathematics stand in
-``kernels.ssim``: the window, C₁, C₂ and the contrast κ, zeros beyond the border, and p, q, r of the backward
-pass.
+``kernels.ssim``: the window, C₁ and C₂, zeros beyond the border, and p, q, r of the backward pass.
 """
 
 from functools import cache
@@ -24,9 +23,9 @@ _MODULE = "physhdr_similarity"
 Five = wp.types.vector(5, wp.float32)
 
 
-def ssim_map(prediction: torch.Tensor, target: torch.Tensor, contrast: float = 0.0) -> torch.Tensor:
+def ssim_map(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """S of every pixel ``[C, H, W]``, float32; differentiable in ``prediction`` alone."""
-    return _Similarity.apply(prediction, target.detach(), contrast)
+    return _Similarity.apply(prediction, target.detach())
 
 
 @cache
@@ -37,7 +36,7 @@ def _window_on(device: torch.device) -> torch.Tensor:
 
 class _Similarity(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, prediction: torch.Tensor, target: torch.Tensor, contrast: float) -> torch.Tensor:
+    def forward(ctx: Any, prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         x, y = prediction.detach().contiguous(), target.contiguous()
         window = _window_on(x.device)
         along = x.new_empty(*x.shape, 5)
@@ -48,7 +47,7 @@ class _Similarity(torch.autograd.Function):
             _down_columns,
             x.shape,
             [
-                *(Array(along, Five), Array(window, wp.float32), contrast * C2),
+                *(Array(along, Five), Array(window, wp.float32)),
                 *(Array(similarity, wp.float32), Array(slopes, wp.vec3)),
             ],
             x.device,
@@ -65,7 +64,7 @@ class _Similarity(torch.autograd.Function):
         launch(_along_rows_backward, x.shape, [*arguments, Array(along, wp.vec3)], x.device)
         arguments = [Array(along, wp.vec3), Array(x, wp.float32), Array(y, wp.float32), window]
         launch(_down_columns_backward, x.shape, [*arguments, Array(grad_x, wp.float32)], x.device)
-        return grad_x, None, None
+        return grad_x, None
 
 
 @wp.kernel(enable_backward=False, module=_MODULE)
@@ -86,11 +85,10 @@ def _along_rows(x: wp.array3d[float], y: wp.array3d[float], window: wp.array[flo
 def _down_columns(
     along: wp.array3d[Five],
     window: wp.array[float],
-    added: float,
     similarity: wp.array3d[float],
     slopes: wp.array3d[wp.vec3],
 ):
-    """S for a contrast κ of ``added`` / C₂, and its slopes p, q and r in 𝒢x, 𝒢x² and 𝒢xy."""
+    """S, and its slopes p, q and r in 𝒢x, 𝒢x² and 𝒢xy."""
     c, i, j = wp.tid()
     m = Five()
     for k in range(TAPS):
@@ -100,11 +98,10 @@ def _down_columns(
     a1 = 2.0 * m[0] * m[1] + C1
     a2 = 2.0 * (m[4] - m[0] * m[1]) + C2
     b1 = m[0] * m[0] + m[1] * m[1] + C1
-    v2 = m[3] - m[1] * m[1]
-    b2 = m[2] - m[0] * m[0] + v2 + added + C2
+    b2 = m[2] - m[0] * m[0] + m[3] - m[1] * m[1] + C2
     inverse = 1.0 / (b1 * b2)
     s = a1 * a2 * inverse
-    similarity[c, i, j] = s + added / (2.0 * v2 + added + C2)
+    similarity[c, i, j] = s
     p = 2.0 * m[1] * (a2 - a1) * inverse - 2.0 * m[0] * s * (1.0 / b1 - 1.0 / b2)
     slopes[c, i, j] = wp.vec3(p, -s / b2, 2.0 * a1 * inverse)
 

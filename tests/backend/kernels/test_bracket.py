@@ -37,13 +37,13 @@ def pictures(height, width):
     return radiance, [torch.rand(3, height, width, generator=generator) for _ in EXPOSURES]
 
 
-def one_by_one(mapper, radiance, exposures, targets, error, contrast=0.0):
+def one_by_one(mapper, radiance, exposures, targets, error):
     """As ``PhysHDR.develop_bracket`` and L_rec do it, in plain torch."""
     with plain_torch():
         found = []
         for exposure, target in zip(exposures, targets, strict=True):
             shown, _ = mapper.tone_map(radiance * exposure, None)
-            found.append(ssim_and_error(shown, target.to(radiance), error, contrast))
+            found.append(ssim_and_error(shown, target.to(radiance), error))
     return torch.stack([s for s, _ in found]), torch.stack([p for _, p in found])
 
 
@@ -58,19 +58,18 @@ def gradients(function, mapper, radiance):
 
 @pytest.mark.parametrize("size", [(60, 80), (33, 61), (97, 64), (300, LANES + 1)])
 @pytest.mark.parametrize("error", ["l1", "mse"])
-@pytest.mark.parametrize(("activation", "contrast"), [("softplus", 0.0), ("silu", 0.5)])
-def test_against_float64(size, error, activation, contrast):
+@pytest.mark.parametrize("activation", ["softplus", "silu"])
+def test_against_float64(size, error, activation):
     mapper, (radiance, targets) = response(activation=activation), pictures(*size)
 
     def fused(mapper, radiance):
-        known = [SsimTarget(t, contrast) for t in targets]
-        found = mapper.bracket_errors(radiance, EXPOSURES, known, error)
+        found = mapper.bracket_errors(radiance, EXPOSURES, [SsimTarget(t) for t in targets], error)
         assert found is not None
         return found
 
     ours = gradients(fused, mapper, radiance)
     truth = gradients(
-        lambda mapper, radiance: one_by_one(mapper, radiance, EXPOSURES, targets, error, contrast),
+        lambda mapper, radiance: one_by_one(mapper, radiance, EXPOSURES, targets, error),
         copy.deepcopy(mapper).double(),
         radiance.double(),
     )

@@ -34,12 +34,12 @@ def test_what_is_kept_and_how_much():
     size = SsimTarget(pictures[0]).nbytes
     targets = SsimTargets(budget=2 * size)
     noted = [targets.noted(None, k, recording, False) for k, recording in enumerate(recordings)]
-    first, second = ([each.ssim_target(0.5) for each in noted] for _ in range(2))
+    first, second = ([each.ssim_target() for each in noted] for _ in range(2))
     assert [a is b for a, b in zip(first, second, strict=True)] == [True, True, False]
     assert targets.bytes_held == 2 * size
     for picture, target in zip(pictures, first, strict=True):
-        assert torch.equal(target.image, picture) and target.contrast == 0.5
+        assert torch.equal(target.image, picture)
     half = targets.noted(None, 0, Recording(exposure=1.0, picture=pictures[0][:, ::2, ::2]), True)
-    assert half.ssim_target(0.5) is half.ssim_target(0.5) and targets.bytes_held < size  # the others are gone
+    assert half.ssim_target() is half.ssim_target() and targets.bytes_held < size  # the others are gone
     masked = dataclasses.replace(recordings[0], mask=torch.ones(20, 30, dtype=torch.bool))
     assert targets.noted(None, 0, masked, False) is masked
