@@ -35,6 +35,8 @@ _DRAWN = re.compile(
 #: What the 3D view draws besides. Not the radius, which changes as Blender's own drawing of points is
 #: switched on and off.
 _SHOWN = {CAMERA_DISTANCE.name, CONFIDENCE.name}
+#: Of places in ``_sum_of_bits``: odd, so that no bit is lost.
+_WEIGHTS = 2 * np.arange(4093, dtype=np.uint64) + np.uint64(1)
 
 
 def drawn_of(cloud: bpy.types.PointCloud) -> str:
@@ -71,7 +73,11 @@ def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
 
 
 def _sum_of_bits(values: np.ndarray) -> int:
-    """Of 64 at a time: four times as fast as of 32."""
+    """Of 64 at a time, four times as fast as of 32; each times what tells its place, so that two that were
+    exchanged are told, too (but for every ``len(_WEIGHTS)``-th)."""
     bits = values.reshape(-1).view(np.uint32)
     pairs = bits[: len(bits) // 2 * 2].view(np.uint64)
-    return int(pairs.sum()) + int(bits[2 * len(pairs) :].sum())
+    whole = len(pairs) // len(_WEIGHTS) * len(_WEIGHTS)
+    sums = pairs[:whole].reshape(-1, len(_WEIGHTS)).sum(axis=0)
+    sums[: len(pairs) - whole] += pairs[whole:]
+    return int((sums * _WEIGHTS).sum()) + int(bits[2 * len(pairs) :].sum())

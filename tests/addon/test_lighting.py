@@ -624,8 +624,8 @@ def test_an_edited_model_is_not_drawn_from_its_file(scene, model, monkeypatch, t
     assert told() == ("", [])
 
 
-def test_a_step_of_a_slider_reads_no_gaussians_for_the_panel(scene, model, monkeypatch, tmp_path):
-    """Blender tells of it as of a change of the Gaussians, which cost 0.2 s a million to look through."""
+def test_a_step_of_a_slider_sums_up_no_gaussians_for_the_panel(scene, model, monkeypatch, tmp_path):
+    """Blender tells of it as of a change of the Gaussians; their checksum takes 0.2 s a million."""
     light(write_probe(tmp_path / "probe", 1.0, 1.0, 1.0))
     [probe] = probes.probes_of(scene, model)
     looked = []

@@ -418,6 +418,20 @@ def test_an_edit_of_whatever_is_drawn_is_seen(scene, make_model, write, modulato
         assert (fingerprint(cloud) != before) == (name in drawn), name
 
 
+def test_colours_that_two_gaussians_exchange_are_seen(scene, make_model, write):
+    """No number is another then but by its place."""
+    cloud = model_import.import_model(write(make_model(count=20_000, degree=0))).data
+    before = fingerprint(cloud)
+    for one, other in ((3, 4), (0, 19_999), (10, 10_000)):
+        values = point_cloud.read_attribute(cloud, "physhdr:log_sh_0")
+        values[[one, other]] = values[[other, one]]
+        point_cloud.write_attribute(cloud, attributes.LOG_SH[0], values)
+        assert fingerprint(cloud) != before, (one, other)
+        values[[one, other]] = values[[other, one]]
+        point_cloud.write_attribute(cloud, attributes.LOG_SH[0], values)
+        assert fingerprint(cloud) == before
+
+
 def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, make_model, write):
     model = make_model(count=10, degree=0)
     places = np.linspace(-4.0, 4.0, 9, dtype=np.float32)

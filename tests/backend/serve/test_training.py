@@ -70,18 +70,8 @@ def whole_run(tiny_data, tmp_path_factory):
     """
     folder = tmp_path_factory.mktemp("whole") / "run"
     physhdr = Path(sys.executable).with_name("physhdr")
-    command = [
-        physhdr,
-        "train",
-        tiny_data,
-        "--out",
-        folder,
-        "--iterations",
-        str(ITERATIONS),
-        "--threads",
-        "1",
-    ]
-    subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=True, capture_output=True)
+    command = [physhdr, "train", tiny_data, "--out", folder, "--iterations", str(ITERATIONS)]
+    subprocess.run([*command, "--threads", "1"], env=os.environ | {"OMP_NUM_THREADS": "1"}, check=True)
     return folder
 
 
