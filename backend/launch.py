@@ -74,16 +74,6 @@ def _refuse_python(arguments):
 def _main(arguments):
     if sys.version_info < OLDEST:
         return _refuse_python(arguments)
-    if arguments[:1] == ["requirements"]:
-        from physhdr.backend.project import requirements  # pyright: ignore[reportMissingImports]
-        from physhdr.bridge.errors import PhysHDRError  # pyright: ignore[reportMissingImports]
-
-        try:
-            sys.stdout.write("\n".join(requirements(*arguments[1:2])) + "\n")
-        except PhysHDRError as error:
-            sys.stderr.write(f"error: {error.message}\n  {error.hint}\n")
-            return 1
-        return 0
     if arguments[:1] == [MODULE]:
         return importlib.import_module(arguments[1]).main(arguments[2:])
     from physhdr.backend.cli import main  # pyright: ignore[reportMissingImports]

@@ -83,6 +83,20 @@ LARGEST_SIDE = 1 << 20
 MAX_PIXELS = 1 << 27
 
 
+#: Threads, or processes, that somebody may ask for. Where the system refuses another thread, native libraries
+#: end the whole process (LLVM aborts) instead of raising an error.
+THREADS_MAX = 256
+#: Parts that the rendering of a data set is divided into.
+PARTS_MAX = 10_000
+
+
+def whole(name: str, value: int, least: int, most: int) -> int:
+    """``value``; raises ``BadValueError`` where it is not from ``least`` to ``most``."""
+    if not least <= value <= most:
+        raise BadValueError(f"{name} is {value}", f"It must be from {least} to {most}.")
+    return value
+
+
 def is_number(value: Any) -> TypeGuard[float]:
     """Whether a value of a JSON file is a number: finite, and one that a float can hold, which not every
     integer there can. JSON's true and false are none.

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from ..bridge.lights import AMBIENT
+from ..bridge.limits import PARTS_MAX, THREADS_MAX
 from .built_in import SCENES
 from .camera_model import CameraModel
 from .device import DEVICES
@@ -132,10 +133,10 @@ class Options:
         within("--noise-threshold", self.noise_threshold, 0.0, 1.0)
         within("--views", self.views, 2, 10_000)
         within("--seed", self.seed, 0, 2**31 - 1)
-        within("--workers", self.workers, 1, 256)
-        within("--threads", self.threads, 0, 1024)
+        within("--workers", self.workers, 1, THREADS_MAX)
+        within("--threads", self.threads, 0, THREADS_MAX)
         if self.part is not None:
-            within("--part: the number of parts", self.part[1], 1, 10_000)
+            within("--part: the number of parts", self.part[1], 1, PARTS_MAX)
             within(f"--part: of {self.part[1]} parts", self.part[0], 1, self.part[1])
         within("--lit-views", self.lit_views, 0, 10_000)
         within("--validation-views", self.validation_views, 0, 10_000)

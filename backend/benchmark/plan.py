@@ -34,6 +34,7 @@ from typing import Any
 from ...bridge import data_set
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.limits import THREADS_MAX, whole
 from ...bridge.regular import read_text
 
 PLAN_FILE = "plan.toml"
@@ -215,8 +216,7 @@ class Plan:
         _require_unique("budget", [str(budget) for budget in self.budgets], "For example iterations=1000.")
         if unknown := [setting for setting in self.settings if setting not in SETTINGS]:
             raise BadValueError(f"there is no setting '{unknown[0]}'", "Choose from exp1, exp3.")
-        if self.threads_per_job < 1:
-            raise BadValueError(f"--threads-per-job must be at least 1, got {self.threads_per_job}")
+        whole("--threads-per-job", self.threads_per_job, 1, THREADS_MAX)
         _ = self.options, self.reading  # these raise where an assignment cannot be used
         steps = [step for ladder in self.ladders for step in ladder.steps]
         for name in [*self.margins_of, *steps]:

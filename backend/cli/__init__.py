@@ -9,12 +9,13 @@ import select
 import stat
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Any
 
 from ...bridge.regular import require_text
 from ..memory import refuse_too_few_addresses
-from ..project import version
+from ..project import requirements, version
 from .words import Words, words_of
 
 __all__ = ["main"]
@@ -31,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     (docs/protocol.md).
     """
     argv = sys.argv[1:] if argv is None else argv
-    _speak_of_anything()
+    _prepare_streams()
     try:
         refuse_too_few_addresses()  # before any library is loaded, which would end the process in its own way
         for word in argv:
@@ -41,11 +42,11 @@ def main(argv: list[str] | None = None) -> int:
 
             return check(argv[1:])
         status = _answered(argv)
-        _flush()  # at the end of the process it would be too late to say what failed
+        sys.stdout.flush()  # at the end of the process it would be too late to say what failed
         return status
     except KeyboardInterrupt:
         if not _tells_programs(argv, Words("cancelled", "interrupted", "")):
-            sys.stderr.write("interrupted\n")
+            _complain("interrupted")
         return INTERRUPTED
     except Exception as error:
         if isinstance(error, OSError) and _nobody_reads(error):  # physhdr train --help | head
@@ -54,33 +55,44 @@ def main(argv: list[str] | None = None) -> int:
         if told is None:
             raise
         if not _tells_programs(argv, told):
-            sys.stderr.write(f"error: {told}\n")
+            _complain(f"error: {told}")
         return 1
 
 
 def _answered(argv: list[str]) -> int:
+    if argv[:1] == ["requirements"]:  # for whoever makes the environment (launch.py)
+        sys.stdout.write("\n".join(requirements(*argv[1:2])) + "\n")
+        return 0
     if argv == ["--version"]:
         sys.stdout.write(f"physhdr {version()}\n")
         return 0
     try:
         return _command(argv).run()
     except SystemExit:  # the parser's, after --help, too
-        _flush()
+        sys.stdout.flush()
         raise
 
 
-def _flush() -> None:
-    if sys.stdout is not None:  # a program without a window on Windows has none
-        sys.stdout.flush()
+def _prepare_streams() -> None:
+    """Open the standard streams that this process was started without, and escape what stdout cannot encode.
 
-
-def _speak_of_anything() -> None:
-    """What stdout cannot encode is escaped: no command fails at a user's file name, or at an arrow of ours.
-
-    On Windows a pipe or a file takes a code page, which lacks most letters.
+    A shell's ``>&-`` closes stdout, and a program without a window on Windows has none: what is said there
+    goes nowhere, and no file of ours gets its descriptor. No command fails at a user's file name, or at an
+    arrow of ours: on Windows a pipe or a file takes a code page, which lacks most letters.
     """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115
+            os.set_inheritable(stream.fileno(), True)  # processes that are started from here have it, too
+            setattr(sys, name, stream)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _complain(text: str) -> None:
+    """On stderr, if that can be written to: the exit status says that something failed in any case."""
+    with suppress(OSError):
+        sys.stderr.write(f"{text}\n")
 
 
 def _nobody_reads(error: OSError) -> bool:

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from ...bridge.data_set import CAPTURE_FORMAT
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError
+from ...bridge.limits import THREADS_MAX, whole
 from ..runs.terminal import console
 from ..scene.capture import raw
 from ..scene.capture.brackets import Grouping
@@ -143,6 +144,7 @@ class Prepare:
                 f"every {self.test_every}-th pose cannot be kept for the test",
                 "Give 2 or more, or 0 for none.",
             )
+        whole("--threads", self.threads, -1, THREADS_MAX)
         self._check_together()
         folder = self.out or self.data
         if self.look:

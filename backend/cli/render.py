@@ -11,7 +11,7 @@ import tyro
 from ...bridge.confidence import MEANING
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import as_levels
-from ...bridge.limits import EXPOSURE
+from ...bridge.limits import EXPOSURE, THREADS_MAX, whole
 from ...bridge.probe import WIDTH
 from ...bridge.shots import Shots
 from ..device import DeviceName
@@ -147,8 +147,7 @@ class Render:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.exposure is not None:
             EXPOSURE.check(self.exposure, "--exposure")
-        if self.workers < 1:
-            raise BadValueError(f"--workers must be at least 1, got {self.workers}")
+        whole("--workers", self.workers, 1, THREADS_MAX)
         if self.confidence:
             asked = ("exposure", "lighting_level", "lighting_levels", *(("view",) if self.at else ()))
             if given := given_of(self, *asked, "camera", "layers"):

@@ -11,6 +11,7 @@ from typing import Literal
 
 from ...bridge.connection import Connection, new_token
 from ...bridge.errors import BadValueError
+from ...bridge.limits import THREADS_MAX, whole
 from ...bridge.messages import PROTOCOL_VERSION, JobStatus, Welcome
 from ...bridge.presets import PRESETS
 from ..project import version, version_of
@@ -46,6 +47,7 @@ class Serve:
             raise BadValueError(
                 f"--idle-timeout must be 0 or more seconds, got {self.idle_timeout}", "0 is for never."
             )
+        whole("--threads", self.threads, 0, THREADS_MAX)
         logging.basicConfig(
             stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s"
         )

@@ -15,6 +15,7 @@ from pathlib import Path
 import tyro
 
 from ...bridge.errors import BadValueError
+from ...bridge.limits import PARTS_MAX, THREADS_MAX, whole
 from ..jobs.pools import LocalPool, Outcome, Pool, RayPool
 from ..jobs.process import StoppedError, interrupted_by_sigterm, run_in_front, run_to_end
 from ..runs.terminal import console
@@ -50,9 +51,9 @@ class Synthesise:
 
     def run(self) -> int:
         out = _out(self.options).absolute()  # a part on another machine begins in another folder
-        for name, value in (("--threads-per-job", self.threads_per_job), ("--parts", self.parts)):
-            if value is not None and value < 1:
-                raise BadValueError(f"{name} must be at least 1, got {value}")
+        whole("--threads-per-job", self.threads_per_job, 1, THREADS_MAX)
+        if self.parts is not None:
+            whole("--parts", self.parts, 1, PARTS_MAX)
         command = (*_started_by(self.blender), *self.options)
         pool: Pool = RayPool(self.ray, self.threads_per_job) if self.ray else LocalPool(self.jobs)
         try:

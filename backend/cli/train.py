@@ -13,6 +13,7 @@ import torch
 import tyro
 
 from ...bridge.errors import BadValueError
+from ...bridge.limits import THREADS_MAX, whole
 from ..device import DeviceName
 from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
@@ -81,7 +82,7 @@ class Train:
     typed: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> int:
-        if self.threads:
+        if whole("--threads", self.threads, 0, THREADS_MAX):
             set_threads(self.threads)
             torch.set_num_threads(self.threads)
         if not self.checkpoint_seconds >= 0.0:

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import tyro
 
 from ...bridge.errors import OutputError
+from ...bridge.limits import THREADS_MAX, whole
 from ..runs.files import writable_folder
 from ..runs.terminal import console
 from ..scene import read_scene
@@ -70,6 +71,7 @@ class Triangulate:
 
     def _check(self, out: Path) -> None:
         """Raises ``OutputError`` early where ``out`` must not or cannot be written."""
+        whole("--threads", self.threads, -1, THREADS_MAX)
         if out.exists() and not self.overwrite:
             raise OutputError(f"{out} is there already", "Give another --out, or --overwrite to replace it.")
         if out.exists() and not is_ours(out):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from ...bridge.errors import BadValueError
+from ...bridge.limits import THREADS_MAX, whole
 from ..shell import pip_install
 
 #: Ray gives a cluster that it starts half a minute, which a busy machine may need to read it from the disk.
@@ -52,9 +53,7 @@ class LocalPool:
     """``jobs`` processes on this machine."""
 
     def __init__(self, jobs: int) -> None:
-        if jobs < 1:
-            raise BadValueError(f"--jobs must be at least 1, got {jobs}")
-        self._jobs = jobs
+        self._jobs = whole("--jobs", jobs, 1, THREADS_MAX)
         self._stop = threading.Event()
         self._running: dict[str, Future[Outcome]] = {}
 

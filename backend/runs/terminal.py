@@ -33,6 +33,9 @@ class Terminal(Console):
             soft_wrap = all(isinstance(each, str) for each in objects)
         super().print(*objects, soft_wrap=soft_wrap, **options)
 
+    def on_broken_pipe(self) -> None:
+        raise  # ``main`` ends every command in the same way; rich would exit with 1
+
 
 class _WhileHeard:
     """stdout as long as it takes what is written: after that nothing is shown, and nothing fails."""

@@ -10,6 +10,7 @@ import torch
 
 from ...bridge.axes import world_to_camera_opencv
 from ...bridge.errors import BadValueError
+from ...bridge.limits import MAX_PIXELS
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +59,11 @@ class Camera:
             raise BadValueError(f"a picture must be at least 1 pixel wide and high, got {width}×{height}")
         if height is None:
             height = max(1, round(width * self.height / self.width))
+            if width * height > MAX_PIXELS:
+                raise BadValueError(
+                    f"a picture of {width}×{height} pixels is too large",
+                    f"It may have {MAX_PIXELS // 10**6} million: give a smaller width.",
+                )
         x, y = width / self.width, height / self.height
         return Camera(self.camera_to_world, width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y)
 

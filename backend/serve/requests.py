@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.limits import THREADS_MAX, whole
 from ...bridge.messages import ModelExport, RunOpen, TrainResume, TrainStart
 from ...bridge.model_file import SUFFIX
 from ..device import DeviceName
@@ -19,8 +20,6 @@ from ..runs.run import Run
 from ..train.config import CONFIG_FILE, ITERATIONS_MAX, SEED_MAX, TrainConfig
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_FILE, Trainer
-
-THREADS_MAX = 256
 
 #: A run that is begun, held for as long as it is trained.
 Begun = AbstractContextManager[tuple[Trainer, Run]]
@@ -99,13 +98,6 @@ def model_path(request: ModelExport) -> Path:
             f"path is {path}, which is not the name of a model file", f"Choose a name that ends in {SUFFIX}."
         )
     return path
-
-
-def whole(name: str, value: int, least: int, most: int) -> int:
-    """``value``; raises ``BadValueError`` where it is not from ``least`` to ``most``."""
-    if not least <= value <= most:
-        raise BadValueError(f"{name} is {value}", f"It must be from {least} to {most}.")
-    return value
 
 
 def folder_of(text: str, name: str) -> Path:

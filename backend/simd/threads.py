@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...bridge.cores import usable_cores
-from ...bridge.errors import BadValueError
+from ...bridge.limits import THREADS_MAX, whole
 from .denormals import flush_denormals, restore_denormals
 
 T = TypeVar("T")
@@ -44,15 +44,13 @@ class _Pool:
             self._helpers.shutdown()
 
 
-_pool = _Pool(usable_cores())
+_pool = _Pool(min(usable_cores(), THREADS_MAX))
 
 
 def set_threads(count: int) -> None:
     """Use ``count`` threads from now on. Results do not depend on it."""
     global _pool
-    if count < 1:
-        raise BadValueError(f"the number of threads must be at least 1, got {count}")
-    if count != _pool.count:
+    if whole("the number of threads", count, 1, THREADS_MAX) != _pool.count:
         _pool.close()
         _pool = _Pool(count)
 

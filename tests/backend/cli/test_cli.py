@@ -4,6 +4,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -26,6 +27,8 @@ from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model
 
+#: The command, in a process of its own.
+MAIN = "import sys; from physhdr.backend.cli import main; sys.exit(main())"
 SHORT = ["--iterations", "30", "--sh-degree-every", "5"]
 
 
@@ -194,7 +197,7 @@ def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys
 
 
 def test_a_run_of_before_there_were_several_lights(tiny_data, tmp_path):
-    """Its checkpoint is written as it was then; its configuration called the shares' rate otherwise."""
+    """Its configuration called the shares' rate otherwise."""
     run = tmp_path / "run"
     assert main(["train", str(tiny_data), "--out", str(run), "--iterations", "4"]) == 0
     config = run / "config.json"
@@ -313,16 +316,63 @@ def test_the_version_is_said(capsys):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has another error for it")
-@pytest.mark.parametrize("words", [["train", "--help"], ["--version"]])
-def test_a_reader_that_has_enough_is_no_error(words):
+@pytest.mark.parametrize("words", [["train", "--help"], ["--version"], ["inspect", "{data}"]])
+def test_a_reader_that_has_enough_is_no_error(words, tiny_data):
     """physhdr train --help | head"""
-    command = [sys.executable, "-c", "import sys; from physhdr.backend.cli import main; sys.exit(main())"]
+    command = [sys.executable, "-c", MAIN]
     ours, theirs = os.pipe()
     os.close(ours)
     try:
         done = subprocess.run(
-            [*command, *words], stdout=theirs, stderr=subprocess.PIPE, text=True, check=False
+            [*command, *(word.format(data=tiny_data) for word in words)],
+            stdout=theirs,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
         )
     finally:
         os.close(theirs)
     assert (done.stderr, done.returncode) == ("", 141)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells close streams so")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_without_standard_streams_a_training_is_done(tiny_data, tmp_path, closed):
+    train = ["train", str(tiny_data), "--out", str(tmp_path / "run"), "--iterations", "2"]
+    command = shlex.join([sys.executable, "-c", MAIN, *train])
+    done = subprocess.run(["sh", "-c", f"{command} {closed}"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "run" / "checkpoint.safetensors").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells close streams so")
+@pytest.mark.parametrize(
+    ("words", "status"), [("--version", 0), ("inspect nowhere", 1), ("inspect --nonsense", 2)]
+)
+def test_without_standard_streams_the_exit_status_is_right(words, status):
+    command = f"{shlex.join([sys.executable, '-c', MAIN])} {words} >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == status and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "train data --out run --threads 100000",
+        "serve --home home --threads 100000",
+        "prepare photos data --threads 100000",
+        "triangulate . --threads 100000",
+        "render run --out a.exr --workers 100000",
+        "synthesise --threads-per-job 100000 -- --out data",
+        "benchmark --out b --scenes data --methods fast --budget iterations=1 --threads-per-job 100000",
+    ],
+)
+def test_more_threads_than_any_library_survives_are_refused(words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    assert re.search(r"--[a-z-]+ is 100000\n  It must be from -?\d to 256", fails(capsys, *words.split()))
+
+
+def test_a_render_too_large_for_any_memory_is_refused(run, tmp_path, capsys):
+    message = fails(capsys, "render", run, "--out", tmp_path / "x.exr", "--width", "10000000")
+    assert "too large" in message and "smaller width" in message
