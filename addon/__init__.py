@@ -15,6 +15,7 @@ from importlib import import_module
 from types import ModuleType
 
 _MODULES = (
+    "outside",
     "settings",
     "dataset.dataset_settings",
     "blend_paths",
@@ -23,6 +24,7 @@ _MODULES = (
     "operators.model_files",
     "operators.backend",
     "operators.dataset",
+    "operators.outside",
     "operators.originals",
     "dataset.rig_preview",
     "operators.photos",

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from .blender import add_handlers, remove_handlers
+from .blender import add_handlers, path_properties, remove_handlers
 from .dataset.dataset_settings import DATASET
 from .settings import SETTINGS, respelling
 
@@ -65,11 +65,10 @@ def _rewrite(group: bpy.types.PropertyGroup, former: str, folder: str) -> None:
 
 def _beside(group: bpy.types.PropertyGroup) -> Iterator[tuple[str, str]]:
     """Names and values of the paths among some settings that are relative to the .blend."""
-    for name, rna in group.bl_rna.properties.items():
-        if isinstance(rna, bpy.types.StringProperty) and rna.is_path_supports_blend_relative:
-            path = getattr(group, name)
-            if path.startswith("//"):
-                yield name, path
+    for name in path_properties(group):
+        path = getattr(group, name)
+        if path.startswith("//"):
+            yield name, path
 
 
 def moved(path: str, former: str, folder: str) -> str:

@@ -179,6 +179,13 @@ def remove_entry(menu: Any, draw: DrawEntry) -> None:
     menu.remove(draw)
 
 
+def path_properties(group: bpy.types.PropertyGroup) -> Iterator[str]:
+    """Names of the properties that are paths, and may be relative to the .blend."""
+    for name, rna in group.bl_rna.properties.items():
+        if isinstance(rna, bpy.types.StringProperty) and rna.is_path_supports_blend_relative:
+            yield name
+
+
 #: What happens in Blender (bpy.app.handlers), and what is then done.
 Handlers = Iterable[tuple[str, Callable[..., None]]]
 

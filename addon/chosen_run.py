@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from ..bridge.run_folder import data_of, same_folder
+from . import outside
 from .paths import absolute, first_free, is_free
 from .settings import RUN, PHYSHDR_Settings
 
@@ -18,8 +19,11 @@ _proposals: dict[tuple[str, str], tuple[float, str]] = {}
 
 
 def run_of(settings: PHYSHDR_Settings) -> str:
-    """The run's folder that is chosen, else the one that is proposed; empty where there are neither."""
-    return settings.out or proposed_run(absolute(settings.data))
+    """The run's folder that is chosen, else the one that is proposed; empty where there are neither, or the
+    user has not chosen them since the file was opened (``outside``)."""
+    if settings.out:
+        return settings.out if outside.chosen(settings.out) else ""
+    return proposed_run(outside.chosen(settings.data))
 
 
 def proposed_run(data: str) -> str:
@@ -55,4 +59,4 @@ def _own_or_free(folder: Path, data: str) -> Path:
 def is_run_of(folder: Path, data: str) -> bool:
     """Whether ``folder`` holds a run that was trained on the data set in ``data``."""
     trained_on = data_of(folder)
-    return trained_on is not None and same_folder(trained_on, data)
+    return trained_on is not None and outside.may_follow(trained_on) and same_folder(trained_on, data)

@@ -6,8 +6,7 @@ import traceback
 import bpy
 from bpy.app.handlers import persistent
 
-from . import changes, paths, plot, settings
-from .paths import absolute
+from . import changes, outside, paths, plot, settings
 from .session.advice import why_not
 from .session.session import Session
 from .session.state import FileOpened
@@ -74,7 +73,7 @@ def _attend() -> float:
 
 def _follow_scene(current: Session) -> None:
     """Look at the data set of the scene that is shown: another file or scene has another one."""
-    folder = absolute(bpy.context.scene.physhdr.data)
+    folder = outside.chosen(bpy.context.scene.physhdr.data)
     if folder and folder != current.state.dataset.folder:
         current.choose_dataset(folder)
 
@@ -82,9 +81,10 @@ def _follow_scene(current: Session) -> None:
 def _follow_photos(current: Session) -> None:
     """Look at the photos of the scene that is shown, anew where other options understand them otherwise."""
     settings = bpy.context.scene.physhdr
-    folder, options = absolute(settings.photos), photo_options(settings).to_look
-    if not folder or why_not(current.state, "look"):
+    folder, exposures = outside.chosen(settings.photos), settings.photos_exposures
+    if not folder or (exposures and not outside.chosen(exposures)) or why_not(current.state, "look"):
         return
+    options = photo_options(settings).to_look
     if (folder, options) != (current.state.photos.folder, current.state.photos.options):
         current.look_at_photos(folder, options)
 

@@ -2,7 +2,7 @@
 """What the user chooses: preferences of the extension, and settings of the scene (saved in the .blend)."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import fields
@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..bridge.limits import THREADS_MAX
 from ..bridge.messages import WhenClosed
 from ..bridge.presets import IN_PANEL
 from ..bridge.run_folder import data_of, same_folder
-from . import changes
+from . import changes, outside
 from .blender import layout_of
 from .paths import PACKAGE, absolute, backend_folder
 from .session.photos import PhotoOptions
@@ -132,7 +133,18 @@ def respelling() -> Iterator[None]:
         _respelled.reset(token)
 
 
-def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
+def choosing(name: str) -> Callable[[Any, bpy.types.Context], None]:
+    """The update function of a path: who sets it has chosen the place (``outside``)."""
+
+    def update(self: Any, context: bpy.types.Context) -> None:
+        if not _respelled.get():
+            outside.choose(getattr(self, name))
+
+    return update
+
+
+def _data_chosen(self: Any, context: bpy.types.Context) -> None:
+    choosing("data")(self, context)
     folder = absolute(self.data)
     if folder and not _respelled.get():
         changes.dataset.tell(folder)
@@ -144,9 +156,9 @@ def _leave_former_run(chosen: Any, data: str) -> None:
 
     It stays where that has moved: ``data`` may be where it is now.
     """
-    out = absolute(chosen.out)
+    out = outside.chosen(chosen.out)
     trained_on = data_of(Path(out)) if out else None
-    if trained_on is None or not trained_on.exists() or same_folder(trained_on, data):
+    if trained_on is None or not outside.is_folder(trained_on) or same_folder(trained_on, data):
         return
     if os.path.basename(out).startswith(f"{trained_on.name}{RUN}"):
         chosen.out = ""  # another is proposed
@@ -196,25 +208,28 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=RELATIVE,
         description="Folder of the data set",
-        update=_folder_chosen,
+        update=_data_chosen,
     )
     out: bpy.props.StringProperty(
         name="Run",
         subtype="DIR_PATH",
         options=RELATIVE,
         description="Folder for the trained model; empty: beside the .blend, or beside the data set",
+        update=choosing("out"),
     )
     photos: bpy.props.StringProperty(
         name="Photos",
         subtype="DIR_PATH",
         options=RELATIVE,
         description="Folder of your photos; nothing in it is changed",
+        update=choosing("photos"),
     )
     photos_out: bpy.props.StringProperty(
         name="Data Set",
         subtype="DIR_PATH",
         options=RELATIVE,
         description="Folder for the data set that is made of the photos",
+        update=choosing("photos_out"),
     )
     photos_handheld: bpy.props.BoolProperty(
         name="Hand-Held",
@@ -243,6 +258,7 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         subtype="FILE_PATH",
         options=RELATIVE,
         description="JSON or CSV of the photos' names and seconds, where the photos do not tell",
+        update=choosing("photos_exposures"),
     )
     photos_lens: bpy.props.EnumProperty(name="Lens", items=LENSES)
     photos_partial: bpy.props.BoolProperty(
@@ -272,7 +288,7 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     exposure_mode: bpy.props.EnumProperty(name="Exposures", items=EXPOSURE_MODES)
     device: bpy.props.EnumProperty(name="Device", items=DEVICES)
     threads: bpy.props.IntProperty(
-        name="Threads", min=0, max=256, description="Processor threads; 0: one for each core"
+        name="Threads", min=0, max=THREADS_MAX, description="Processor threads; 0: one for each core"
     )
     preview: bpy.props.BoolProperty(
         name="Live Preview",
@@ -297,12 +313,15 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
 
 
 def photo_options(chosen: PHYSHDR_Settings, **given: Any) -> PhotoOptions:
-    """What is said of the photos in a scene's settings, but for what is ``given``."""
+    """What is said of the photos in a scene's settings, but for what is ``given``.
+
+    Raises ``BadValueError`` where the settings name a file in a network that the user has not chosen.
+    """
     names = [each.name for each in fields(PhotoOptions)]
     of_settings = {"max_width": "photos_width"}
     found = {name: getattr(chosen, of_settings.get(name, f"photos_{name}")) for name in names}
     options = {**found, **given}
-    options["exposures"] = bpy.path.abspath(options["exposures"]) if options["exposures"] else ""
+    options["exposures"] = outside.followed(absolute(options["exposures"]))
     return PhotoOptions(**options)
 
 

@@ -45,12 +45,16 @@ def same_folder(one: str | Path, other: str | Path) -> bool:
     The trainer writes a data set's own path, Blender has the one that was chosen: through a link, a mapped
     drive, or on Windows in other letters' case.
     """
-    spelled = (os.path.normcase(os.path.normpath(each)) for each in (one, other))
-    if len(set(spelled)) == 1:
+    if same_spelling(one, other):
         return True
     with suppress(OSError, ValueError):
         return len({os.path.normcase(os.path.realpath(each)) for each in (one, other)}) == 1
     return False
+
+
+def same_spelling(one: str | Path, other: str | Path) -> bool:
+    """Whether two paths are one without a look at the disk."""
+    return len({os.path.normcase(os.path.normpath(each)) for each in (one, other)}) == 1
 
 
 def picture_names(folder: Path) -> list[str]:

@@ -21,7 +21,7 @@ from ...bridge.blend_file import SPLIT
 from ...bridge.camera_list import read_learned_poses
 from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.run_folder import CAMERAS_FILE
-from .. import similarity
+from .. import outside, similarity
 from ..blender import CLIP_END, CLIP_START, cloud_of, render_size, takes_objects, to_matrix, world_of
 from ..layouts.camera_file import VIEWS, Frame, read_frames
 from ..model import origin
@@ -87,7 +87,7 @@ def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Pat
 def _learned(target: bpy.types.Object) -> dict[str, np.ndarray]:
     """Poses that the training of a model has found, by the frame's name; none where nobody knows its file."""
     file = str(cloud_of(target).get(FILE, ""))
-    return read_learned_poses(Path(file).parent / CAMERAS_FILE) if file else {}
+    return read_learned_poses(Path(file).parent / CAMERAS_FILE) if file and outside.may_follow(file) else {}
 
 
 def _placed(frame: Frame, learned: dict[str, np.ndarray]) -> Frame:

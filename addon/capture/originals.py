@@ -13,6 +13,7 @@ from bpy.app.handlers import persistent
 
 from ...synth.in_render import in_layer
 from ...synth.objects import SURFACES
+from .. import outside
 from ..blender import curve_of
 from ..model.look import is_model, models_among
 from ..model.origin import capture_of, key_of
@@ -87,7 +88,7 @@ def of_models(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     datasets = originals_of(scene).datasets
     shown = {capture_of(item) for item in models_among(scene.objects)}
     settings = settings_of(scene)
-    chosen = key_of(bpy.path.abspath(settings.data)) if settings.data else ""
+    chosen = key_of(outside.chosen(settings.data))
     if settings.preview or not any(entry.name in shown for entry in datasets):
         shown.add(chosen)
     found: dict[bpy.types.Object, None] = {}
@@ -110,7 +111,7 @@ def is_offered(scene: bpy.types.Scene) -> bool:
     if not len(datasets):
         return False
     settings = settings_of(scene)
-    if settings.preview and settings.data and key_of(bpy.path.abspath(settings.data)) in datasets:
+    if settings.preview and key_of(outside.chosen(settings.data)) in datasets:
         return True
     return any(capture_of(item) in datasets for item in models_among(scene.objects))
 

@@ -10,6 +10,7 @@ import bpy
 
 from ...bridge.errors import PhysHDRError
 from ...synth.light_names import GROUP
+from .. import outside
 from ..capture import originals
 from ..model.look import is_model
 from ..runtime import session
@@ -45,6 +46,11 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         _write(layout, textwrap.shorten(told, 3 * COLUMNS, placeholder=" …"), "INFO")
     if originals.are_hidden(scene):
         _write(layout, "The hidden originals are photographed, too", "INFO")
+    if named := outside.not_chosen(settings):
+        box = layout.box()
+        _write(box, outside.QUESTION, "INFO")
+        outside.draw(box, named)
+        return
     problem, folder = _judged(values, scene)
     if problem is None:
         _write(layout, folder, "FILE_FOLDER")

@@ -15,6 +15,7 @@ from ...bridge.lights import AMBIENT
 from ...synth.light_choice import candidates
 from ...synth.light_names import COLLECTION, GROUP, LightChoice
 from .. import changes
+from ..settings import choosing
 from .denoiser import can_denoise
 
 if TYPE_CHECKING:
@@ -53,7 +54,11 @@ class RenderOptions:
     """The properties that the scene's settings and the operator have in common."""
 
     out: bpy.props.StringProperty(
-        name="Folder", subtype="DIR_PATH", options=PATH, description="A new folder, or one to go on with"
+        name="Folder",
+        subtype="DIR_PATH",
+        options=PATH,
+        update=choosing("out"),
+        description="A new folder, or one to go on with",
     )
     rig: bpy.props.EnumProperty(name="Cameras", items=RIGS, options=CHOICE, update=_cameras_changed)
     views: bpy.props.IntProperty(
@@ -110,6 +115,7 @@ class RenderOptions:
         name="Curve",
         subtype="FILE_PATH",
         options=PATH,
+        update=choosing("response_file"),
         description="JSON or text of the response, where it is a file's",
     )
     resolution_x: bpy.props.IntProperty(

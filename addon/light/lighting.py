@@ -17,6 +17,7 @@ import bpy
 from ...bridge.blend_file import FORMER_WORLD, LIGHT_MODEL
 from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.probe import Probe
+from .. import outside
 from ..blender import cloud_of, settings_of_cycles
 from ..model import nodes
 from ..model.node_builder import Field, NodeBuilder
@@ -195,7 +196,7 @@ def load_images(probe: bpy.types.Object) -> list[bpy.types.Image]:
         path = f"{folder.rstrip('/')}/{name}"
         on_disk = Path(bpy.path.abspath(path))
         image = next((each for each in bpy.data.images if each.get(KNOWN) == path), None)
-        if on_disk.is_file():
+        if outside.is_file(on_disk):
             if image is None:
                 image = bpy.data.images.load(str(on_disk), check_existing=False)
                 image[KNOWN] = path
@@ -207,7 +208,7 @@ def load_images(probe: bpy.types.Object) -> list[bpy.types.Image]:
                 image.pack()
         elif image is None or not (
             # The .blend was saved elsewhere: Blender has led its own path back to the folder of before.
-            image.packed_file or Path(bpy.path.abspath(image.filepath)).is_file()
+            image.packed_file or outside.is_file(Path(bpy.path.abspath(image.filepath)))
         ):
             raise FileMissingError(f"{on_disk} is missing", f"Take the light at {probe.name} again.")
         image.name = f"{probe.name} {name.removesuffix('.exr')}"

@@ -16,8 +16,9 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import PhysHDRError
-from ...bridge.run_folder import same_folder
+from ...bridge.run_folder import same_folder, same_spelling
 from ...bridge.spherical_harmonics import MAX_DEGREE
+from .. import outside
 from ..blender import cloud_of, world_of
 from . import nodes
 from .attributes import (
@@ -82,7 +83,8 @@ def is_of_run(target: bpy.types.Object | None, run: str) -> TypeGuard[bpy.types.
     if not run or not is_model(target):
         return False
     file = bpy.path.abspath(str(cloud_of(target).get(FILE, "")))
-    return bool(file) and was_same_folder(os.path.dirname(file), run)
+    same = was_same_folder if outside.may_look(file) else same_spelling
+    return bool(file) and same(os.path.dirname(file), run)
 
 
 def was_same_folder(one: str, other: str) -> bool:

@@ -12,6 +12,7 @@ from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import ColorSpace
 from ...bridge.gaussian_import import is_model_file, read_gaussians
 from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, WORLD, photographed_ev
+from .. import outside
 from . import parts, pose
 from .attributes import CAPTURE, COLOR_SPACE, FILE, TURN, metadata_property
 from .look import cast_no_shadow
@@ -54,7 +55,7 @@ def import_file(
 ) -> Imported:
     """As ``import_model``; ``color_space`` and ``orientation`` do not count for model files, which are
     scene-linear and in Blender's axes. ``AUTO``: as the file says, or its format has it by convention."""
-    path = Path(path)
+    path = Path(outside.choose(str(path)))
     source = read_gaussians(path, color_space)
     name = name or path.stem
     cloud = build_point_cloud(source.model, name, source.colour_sh)

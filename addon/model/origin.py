@@ -11,15 +11,15 @@ from pathlib import Path
 import bpy
 
 from ...bridge.run_folder import data_of as data_of_run
+from .. import outside
 from ..blender import cloud_of
-from .attributes import CAPTURE, FILE
+from .attributes import CAPTURE
 
 
 def capture_of(target: bpy.types.Object) -> str:
-    """The capture that a model is of: its data set's folder, else the model's file."""
-    cloud = cloud_of(target)
-    # Those that older versions imported have the file alone.
-    return str(cloud.get(CAPTURE, "")) or capture_of_file(Path(str(cloud.get(FILE, ""))))
+    """The capture that a model is of: its data set's folder, else the model's file. As its import found it:
+    panels ask at every redraw, and nothing is read."""
+    return str(cloud_of(target).get(CAPTURE, ""))
 
 
 def capture_of_file(path: Path) -> str:
@@ -29,10 +29,12 @@ def capture_of_file(path: Path) -> str:
 
 def data_of(target: bpy.types.Object) -> Path | None:
     """The folder of a model's data set; None where it is not known, or not there any more."""
-    folder = Path(capture_of(target))
-    return folder if folder.is_dir() else None
+    capture = capture_of(target)
+    return Path(capture) if capture and outside.is_folder(Path(capture)) else None
 
 
 def key_of(data: str) -> str:
-    """A data set's folder as scenes and models remember it."""
-    return os.path.realpath(data) if data else ""
+    """A data set's folder as scenes and models remember it. Links are followed where one may look."""
+    if not data:
+        return ""
+    return os.path.realpath(data) if outside.may_follow(data) else os.path.normpath(data)

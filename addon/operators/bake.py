@@ -17,6 +17,7 @@ from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.model_file import SUFFIX, Model, write_model
 from ...bridge.run_folder import VIEWS_FILE
 from ...bridge.splat_files import read_splat_file
+from .. import outside
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
 from ..model.attributes import FILE
 from ..model.bake import bake, baked_look, baked_model, moved, write_fitted
@@ -195,7 +196,7 @@ def cameras_of(target: bpy.types.Object) -> str:
     """The run or data set whose cameras saw what a model shows; empty where nobody knows."""
     file = bpy.path.abspath(str(cloud_of(target).get(FILE, "")))
     run = Path(file).parent
-    return str(run if file and (run / VIEWS_FILE).is_file() else data_of(target) or "")
+    return str(run if file and outside.is_file(run / VIEWS_FILE) else data_of(target) or "")
 
 
 def why_not_fitted(target: bpy.types.Object) -> str:

@@ -9,7 +9,9 @@ import bpy
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of
+from .. import outside
 from ..chosen_run import run_of
+from ..dataset.dataset_settings import DATASET
 from ..model.look import is_model
 from ..paths import absolute, is_nowhere
 from ..runtime import session
@@ -21,20 +23,28 @@ LINKED = f"The model is linked from another file. {OVERRIDE}"
 
 
 def choices(context: bpy.types.Context) -> Choices:
-    """What is chosen in the scene's settings, as far as it decides what can be done."""
+    """What is chosen in the scene's settings, as far as it decides what can be done. What the file names and
+    nobody has looked at since it was opened is not chosen."""
     settings = context.scene.physhdr
     out = absolute(run_of(settings))
     return Choices(
-        data=absolute(settings.data),
+        data=outside.chosen(settings.data),
         out=out,
         out_has_run=has_run(out),
         online=bpy.app.online_access,
         preview=settings.preview,
-        photos=absolute(settings.photos),
-        photos_out=absolute(settings.photos_out),
+        photos=outside.chosen(settings.photos),
+        photos_out=outside.chosen(settings.photos_out),
         of_file=True,
+        not_looked_at=outside.not_chosen(settings, getattr(context.scene, DATASET)),
         unsaved=next((each for each in (settings.data, settings.out) if is_nowhere(each)), ""),
     )
+
+
+def choose_named(context: bpy.types.Context) -> None:
+    """The data set and the run of the scene's settings are chosen: a button about them was pressed."""
+    for path in (context.scene.physhdr.data, context.scene.physhdr.out):
+        outside.choose(path)
 
 
 def moved_data(run: str, chosen: str) -> str:
@@ -43,7 +53,7 @@ def moved_data(run: str, chosen: str) -> str:
     The trainer looks at its cameras, too: pictures of another one may have the same names.
     """
     named = data_of(Path(run))
-    if not chosen or named is None or named.is_dir() or not os.path.isdir(chosen):
+    if not chosen or named is None or outside.is_folder(named) or not os.path.isdir(chosen):
         return ""
     return chosen if may_be_of(Path(run), Path(chosen)) else ""
 

@@ -17,6 +17,7 @@ from bpy.app.handlers import persistent
 
 from ...bridge.errors import OutputError, PhysHDRError
 from ...synth import scripts
+from .. import outside
 from ..blender import layout_of
 from ..capture import originals, placement
 from ..dataset import (
@@ -110,6 +111,8 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
             dataset_folder.propose(settings_of(scene))
         time_trial.trial().end()  # it reads the copy that is replaced now
         chosen = dataset_settings.chosen(scene, self, self.lights)
+        for path in (chosen.out, chosen.response_file):
+            outside.choose(path)
         arguments = dataset_command.of(chosen, scene)
         unsaved.require_saved()
         out = dataset_folder.chosen_folder(chosen.out)

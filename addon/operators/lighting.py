@@ -15,6 +15,7 @@ import bpy
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.model_file import SUFFIX, read_model
 from ...bridge.probe import MUCH_UNSEEN, WIDTH, Probe, read_probe
+from .. import outside
 from ..blend_paths import moved
 from ..blender import cloud_of, layout_of
 from ..light import lighting, probes
@@ -368,7 +369,7 @@ def model_in(context: bpy.types.Context) -> bpy.types.Object | None:
 def source_of(model: bpy.types.Object) -> str:
     """The model file that a model was imported from; "" where it is not there any more."""
     path = Path(bpy.path.abspath(str(cloud_of(model).get(FILE, ""))))
-    return str(path) if path.suffix == SUFFIX and path.is_file() else ""
+    return str(path) if path.suffix == SUFFIX and outside.is_file(path) else ""
 
 
 def why_not_backend(model: bpy.types.Object) -> str:

@@ -11,6 +11,7 @@ from ...bridge.errors import PhysHDRError
 from ...bridge.gaussian_import import is_model_file
 from ...bridge.model_file import SUFFIX, write_model
 from ...bridge.splat_files import SUFFIXES
+from .. import outside
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, takes_objects
 from ..capture.placement import place
 from ..model.attributes import DISPLAY, FILE
@@ -198,7 +199,8 @@ class PHYSHDR_OT_model_save(bpy.types.Operator, ExportHelper):
         assert is_model(target)
         if not self.filepath:
             source = Path(bpy.path.abspath(str(cloud_of(target).get(FILE, ""))) or target.name)
-            self.filepath = str(source.with_name(f"{source.stem}_edited{SUFFIX}"))
+            edited = source.with_name(f"{source.stem}_edited{SUFFIX}")
+            self.filepath = str(edited) if outside.may_follow(edited) else edited.name
         return set(super().invoke(context, event))
 
     def execute(self, context: bpy.types.Context) -> set[str]:

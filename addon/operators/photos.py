@@ -14,6 +14,7 @@ import bpy
 
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
+from .. import outside
 from ..chosen_run import is_run_of, proposed_run
 from ..paths import absolute, first_free, whole
 from ..runtime import session
@@ -50,7 +51,7 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.properties.is_property_set("directory"):
-            self.directory = absolute(context.scene.physhdr.photos)
+            self.directory = outside.chosen(context.scene.physhdr.photos)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -126,6 +127,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         if out == photos:
             raise OutputError(f"{out} holds the photos", "Choose another folder for the data set.")
         given = {name: getattr(self, name) for name in OPTIONS if self.properties.is_property_set(name)}
+        self._chosen(context, "exposures", "photos_exposures")
         options = photo_options(context.scene.physhdr, **given)
         arguments = prepare_command(str(photos), str(out), options.to_prepare, self.overwrite)
         command = current.backend_command(*arguments)
@@ -149,7 +151,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         """An argument of the operator, or the scene's setting where it was not given."""
         if self.properties.is_property_set(argument):
             return getattr(self, argument)
-        return getattr(context.scene.physhdr, setting)
+        return outside.choose(getattr(context.scene.physhdr, setting))
 
 
 class PHYSHDR_OT_photos_forget(bpy.types.Operator):

@@ -17,6 +17,7 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT
 from ...bridge.run_folder import WEB_FILE, WEB_FOLDER, WEB_INDEX, data_of, same_folder
 from ...bridge.shots import write_shots
+from .. import outside
 from ..blender import layout_of
 from ..capture import placement
 from ..model import origin
@@ -39,7 +40,7 @@ from ..session.results import (
 from ..session.session import Session
 from ..session.state import State
 from .afterwards import take_when_ended
-from .base import PhysHDROperator, choices, follow_task, has_run, moved_data
+from .base import PhysHDROperator, choices, choose_named, follow_task, has_run, moved_data
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -116,6 +117,7 @@ class _OnRun(PhysHDROperator):
 
     def chosen(self, context: bpy.types.Context) -> tuple[str, str]:
         """The run's folder, and its data set where that is elsewhere now (else empty). Raises errors."""
+        choose_named(context)
         state = session().state
         given = whole(self.run_folder)
         run = given or shown_run(context, state)
@@ -154,7 +156,7 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
         session().pump()
         run, data = self.chosen(context)
         named = data_of(Path(run))
-        if not data and named is not None and not named.is_dir():
+        if not data and named is not None and not outside.is_folder(named):
             raise FileMissingError(
                 f"the run's data set is not there any more: {named}",
                 "Choose in Data Set where it is now: an evaluation compares with its pictures.",

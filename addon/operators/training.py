@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import bpy
 
 from ...bridge.errors import FileMissingError
+from ...bridge.limits import THREADS_MAX
 from ...bridge.messages import (
     JobStatus,
     ModelExport,
@@ -27,7 +28,7 @@ from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import EndAsked, State, StopAsked
 from .afterwards import is_modal
-from .base import PhysHDROperator, has_run, moved_data
+from .base import PhysHDROperator, choose_named, has_run, moved_data
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -44,6 +45,10 @@ class _Training(PhysHDROperator):
 
     if TYPE_CHECKING:
         wait: bool
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        choose_named(context)
+        return super().execute(context)
 
     def begin(self, request: Request) -> set[str]:
         current = session()
@@ -140,7 +145,7 @@ class PHYSHDR_OT_train_start(_Training):
         name="Exposures", items=settings.EXPOSURE_MODES, options={"SKIP_SAVE"}
     )
     device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
-    threads: bpy.props.IntProperty(name="Threads", min=0, options={"SKIP_SAVE"})
+    threads: bpy.props.IntProperty(name="Threads", min=0, max=THREADS_MAX, options={"SKIP_SAVE"})
     seed: bpy.props.IntProperty(name="Seed", min=0, options={"SKIP_SAVE"})
     overwrite: bpy.props.BoolProperty(
         name="Replace the Run",
@@ -197,7 +202,7 @@ class PHYSHDR_OT_train_resume(_Training):
         options=FOLDER,
     )
     device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
-    threads: bpy.props.IntProperty(name="Threads", min=0, options={"SKIP_SAVE"})
+    threads: bpy.props.IntProperty(name="Threads", min=0, max=THREADS_MAX, options={"SKIP_SAVE"})
     wait: bpy.props.BoolProperty(**WAIT)
 
     def run(self, context: bpy.types.Context) -> set[str]:
@@ -355,6 +360,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """In a window: ask for the file, and import it when it is there, without holding Blender up."""
+        choose_named(context)
         if not self._ask(context):
             return self.execute(context)
         self._began = time.monotonic()

@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from .. import outside
 from ..blender import layout_of
 from ..operators.base import choices
 from ..runtime import session
 from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, State
-from .parts import SidebarPanel, draw_problem, draw_task, duration, write
+from .parts import BOX, SidebarPanel, draw_problem, draw_task, duration, shortened, write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -46,6 +47,10 @@ class PHYSHDR_PT_train(SidebarPanel, bpy.types.Panel):
         step = next_step(state, chosen)
         write(context, layout, step, "FORWARD" if step else "NONE", lines=STEP_LINES)
         draw_progress(context, layout, state, is_of_file(state.job, chosen))
+        if chosen.not_looked_at:
+            box = layout.box()
+            write(context, box, outside.QUESTION, "INFO", beside=BOX)
+            outside.draw(box, chosen.not_looked_at, lambda path: shortened(path, context))
         if problem:
             draw_problem(context, layout, problem)
 

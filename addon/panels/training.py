@@ -9,9 +9,8 @@ import bpy
 
 from .. import plot
 from ..blender import layout_of
-from ..chosen_run import proposed_run
+from ..chosen_run import run_of
 from ..operators.base import choices
-from ..paths import absolute
 from ..runtime import session
 from ..session.advice import is_of_file
 from ..session.state import State
@@ -52,7 +51,7 @@ def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None
     """What decides what is trained, and where to."""
     layout.use_property_split = True
     layout.use_property_decorate = False
-    layout.prop(settings, "out", placeholder=proposed_run(absolute(settings.data)))
+    layout.prop(settings, "out", placeholder="" if settings.out else run_of(settings))
     layout.prop(settings, "preset")
     split = layout.split(factor=LABEL)
     label = split.row()

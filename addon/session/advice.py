@@ -23,13 +23,18 @@ JOB_WORDS = {
 }
 
 
+#: What the user does first with a file that names places outside it.
+LOOK_FIRST = "Look at what this file names outside it, if you trust it"
+
+
 @dataclass(frozen=True)
 class Choices:
     """What the user has chosen in Blender, as far as it decides what can be done.
 
     ``of_file``: these are the open file's own choices, not what a script may give. ``out``: the run's folder,
     the one that is proposed where none is chosen. ``unsaved``: a folder that is relative to a .blend which is
-    not saved, and so nowhere.
+    not saved, and so nowhere. ``not_looked_at``: what the file names and the user has not chosen since it was
+    opened; nothing else here names it.
     """
 
     data: str = ""
@@ -41,6 +46,7 @@ class Choices:
     photos_out: str = ""
     of_file: bool = False
     unsaved: str = ""
+    not_looked_at: tuple[str, ...] = ()
 
 
 def headline(state: State, choices: Choices | None = None) -> str:
@@ -109,6 +115,8 @@ def next_step(state: State, choices: Choices) -> str:
             return "Import the result into the scene"
     if choices.unsaved:
         return unsaved(choices)
+    if not choices.data and choices.not_looked_at:
+        return LOOK_FIRST
     if not choices.data or not state.dataset.folder or state.dataset.problem:
         return "Prepare photos, render a data set from this scene, or choose one"
     return "Open the run, or resume its training" if choices.out_has_run else "Start the training"
@@ -194,12 +202,13 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
                 return f"{state.link.barred.message}. {state.link.barred.hint}"
             if choices.unsaved:
                 return unsaved(choices)
-            return "" if choices.out_has_run else "Choose the folder of a run that was trained"
+            return "" if choices.out_has_run else _or_look(choices, "Choose the folder of a trained run")
         case "import":
             mine = is_of_file(state.job, choices)
             if state.link.status == "connected" and state.job.has_model and mine:
                 return _why_not_steer(state)  # the backend writes the file for the one who steers
-            return "" if choices.out_has_run else "Train a model, or choose the folder of a run, first"
+            no_run = "Train a model, or choose the folder of a run, first"
+            return "" if choices.out_has_run else _or_look(choices, no_run)
         case "preview":
             if state.job.has_model and not is_of_file(state.job, choices):
                 return "The backend holds another run: open this file's"
@@ -256,6 +265,11 @@ def _why_not_photos(state: State, busy: str) -> str:
     return "Photos are being prepared" if state.task(PHOTOS) else ""
 
 
+def _or_look(choices: Choices, words: str) -> str:
+    """What to say of something missing that the file may name."""
+    return LOOK_FIRST if choices.not_looked_at else words
+
+
 def _why_not_prepare(state: State, choices: Choices) -> str:
     if state.backend.missing is None:
         return "Check the backend first: this version needs packages that were not looked for"
@@ -282,9 +296,10 @@ def _why_not_train(state: State, action: str, choices: Choices, busy: str) -> st
     if choices.unsaved:
         return unsaved(choices)
     if action == "resume":
-        return "" if choices.out_has_run else "There is no training to resume in the run's folder"
+        no_run = "There is no training to resume in the run's folder"
+        return "" if choices.out_has_run else _or_look(choices, no_run)
     if not choices.data:
-        return "Choose a data set"
+        return _or_look(choices, "Choose a data set")
     if state.dataset.folder == choices.data and state.dataset.problem:
         return state.dataset.problem.message
     return ""

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ...bridge.messages import JobStatus, PreviewCamera, PreviewFrame, PreviewRequest
+from ...bridge.run_folder import same_spelling
 from .. import similarity
 from ..blender import cloud_of
 from ..capture import placement
@@ -193,6 +194,8 @@ class _Region:
 
 def is_of_job(chosen: PHYSHDR_Settings, job: JobStatus) -> bool:
     """Whether the job is of the run that a scene has chosen, or that is proposed for it."""
+    if chosen.out and same_spelling(job.run, absolute(chosen.out)):
+        return True  # known without a look at the disk, where this file may not lead
     out = absolute(run_of(chosen))
     return bool(out) and was_same_folder(job.run, out)
 

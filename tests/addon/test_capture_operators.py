@@ -21,7 +21,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.blender import curves_of, to_matrix  # noqa: E402
 from physhdr.addon.capture import placement  # noqa: E402
-from physhdr.addon.model import attributes, model_import, nodes, origin  # noqa: E402
+from physhdr.addon.model import attributes, nodes, origin  # noqa: E402
 from physhdr.addon.model.look import cleaning_of, kept_of, shown_shape  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute  # noqa: E402
 from physhdr.addon.operators import capture as operators  # noqa: E402
@@ -463,12 +463,6 @@ def test_a_point_is_picked_on_the_model_wherever_it_stands(registered, run):
     found = operators.surface_point(np.array(target.matrix_world, float), alone, eye, direction)
     np.testing.assert_allclose(found, centre, atol=1e-5)
     assert operators.surface_point(np.array(target.matrix_world, float), alone, eye, -direction) is None
-
-
-def test_older_imports_are_of_their_runs_data(registered, run):
-    target = model_import.import_model(run[0] / "model.safetensors")
-    del target.data["physhdr_capture"]
-    assert origin.capture_of(target) == origin.key_of(str(run[0].parent / "data"))
 
 
 def test_picking_that_blender_ends_leaves_nothing_drawn(registered, run, monkeypatch):

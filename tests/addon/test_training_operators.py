@@ -186,6 +186,8 @@ def test_another_file_says_nothing_of_the_former_ones_run(asked, chosen, tmp_pat
         current.dispatch(event)
     for name, shows in (("first", True), ("second", False)):
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / f"{name}.blend"))
+        assert headline(current.state, choices(bpy.context)) == "Ready"
+        bpy.ops.physhdr.outside_look()
         found, settings_now = choices(bpy.context), bpy.context.scene.physhdr
         assert headline(current.state, found) == ("Trained model open" if shows else "Ready")
         assert (why_not(current.state, "preview", found) == "") == settings_now.preview == shows

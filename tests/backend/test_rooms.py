@@ -69,6 +69,8 @@ ADDON: Floors = (
     ("chosen_run",),
     ("settings",),
     ("session",),
+    # What of the places that a file names may be looked at.
+    ("outside",),
     # Without Blender (as is the session): folders of data sets, similarities · What Blender's types lack.
     ("layouts", "similarity", "blender", "changes", "paths"),
 )
