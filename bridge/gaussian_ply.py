@@ -8,14 +8,12 @@ radiance must be baked at an exposure before it comes here.
 
 The lossless layout has the same columns first, so that viewers draw it, then the trained parameters as
 ``phys_…`` columns. What they mean stands in comment lines and, for programs that drop those, in the names of
-further columns (``lossless_form``). We write binary little endian; whatever plyfile reads, we read.
+further columns (``lossless_form``). We write binary little endian; whatever plyfile reads, we read (``ply``).
 """
 
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +24,8 @@ from .atomic import atomic_path
 from .axes import Up
 from .errors import BadValueError, DataMismatchError, FileDamagedError
 from .lossless_form import form_columns
-from .regular import damaged_where_it_fails, regular_file
+from .ply import Ply, open_ply
+from .regular import LONGEST_HEADER, regular_file
 
 #: The constant spherical harmonic Y_0, with the digits that 3DGS's viewers use.
 SH_C0 = 0.28209479
@@ -197,6 +196,11 @@ def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str
     ]
     element = plyfile.PlyElement.describe(table, "vertex")
     ply = plyfile.PlyData([element], text=False, byte_order="<", comments=[line for line in lines if line])
+    if (size := len(ply.header)) >= LONGEST_HEADER:
+        raise BadValueError(
+            f"PLY export: a header of {size} bytes, of which readers take {LONGEST_HEADER}",
+            "Its comment lines are too long: export a model.safetensors.",
+        )
     with atomic_path(path) as temporary:
         ply.write(str(temporary))
 
@@ -214,112 +218,40 @@ def read_ply(path: Path) -> GaussianPly:
     return gaussians_in(Path(path), open_gaussians(Path(path)))
 
 
-def open_gaussians(path: Path) -> plyfile.PlyData:
+def open_gaussians(path: Path) -> Ply:
     """A PLY of Gaussians of any layout, compressed or not; raises what ``open_ply`` raises."""
     regular_file(path, "Check the path, or choose another PLY.")
     return open_ply(path, "PLY", "Copy or export it again: it may be cut off.")
 
 
-def is_compressed(ply: plyfile.PlyData) -> bool:
+def is_compressed(ply: Ply) -> bool:
     """Whether it is PlayCanvas' compressed layout, which ``splat_files.compressed_ply`` reads."""
-    return any(
-        element.name == "chunk" or any(p.name == "packed_position" for p in element.properties)
-        for element in ply.elements
+    return "chunk" in ply.elements or any(
+        "packed_position" in (table.dtype.names or ()) for table in ply.elements.values()
     )
 
 
-def gaussians_in(path: Path, ply: plyfile.PlyData) -> GaussianPly:
+def gaussians_in(path: Path, ply: Ply) -> GaussianPly:
     """The Gaussians of an opened PLY that is not compressed, as ``read_ply``; ``path`` is for messages."""
-    elements = {element.name: element for element in ply.elements}
-    if "vertex" not in elements:
+    if "vertex" not in ply.elements:
         raise FileDamagedError(f"{path} is not a PLY of Gaussians: it has no vertex element", _GAUSSIANS_HINT)
     if is_compressed(ply):
         raise FileDamagedError(
             f"{path} is a compressed PLY (PlayCanvas, SuperSplat): it has no columns of Gaussians",
             "Convert it: physhdr convert IN OUT.ply",
         )
-    vertex = elements["vertex"]
-    names = [p.name for p in vertex.properties if not isinstance(p, plyfile.PlyListProperty)]
+    vertex = ply.elements["vertex"]
+    names: list[str] = [*(vertex.dtype.names or ())]
     _check_names(path, names)
     with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite: its Gaussian is of no use
-        columns = _columns(vertex.data, names)
+        columns = _columns(vertex)
     if "f_dc_0" not in columns:
         for index, name in enumerate(("red", "green", "blue")):
-            unit = _unit_of(vertex.data.dtype[name])
+            unit = _unit_of(vertex.dtype[name])
             columns[f"f_dc_{index}"] = ((columns[name] / unit - 0.5) / SH_C0).astype(np.float32)
     if "scale_2" not in columns:
         columns["scale_2"] = np.full(len(columns["x"]), -np.inf, np.float32)
-    return GaussianPly(_up_to_degree_3(columns), list(ply.comments))
-
-
-def open_ply(path: Path, kind: str, remedy: str) -> plyfile.PlyData:
-    """A PLY of anything; ``kind`` is what it should be, and ``remedy`` the hint, for the message.
-
-    Raises what ``regular_file`` raises, ``FileDamagedError`` where it cannot be read or claims more than it
-    has bytes for.
-    """
-    regular_file(path, remedy)
-    with damaged_where_it_fails(f"{path} is not a readable {kind}", remedy):
-        _check_room(path)
-        return plyfile.PlyData.read(_as_plyfile_reads(path))
-
-
-def _as_plyfile_reads(path: Path) -> str | io.BytesIO:
-    """The file's path; of one that plyfile refuses for its letters, the file in those that it takes.
-
-    Letters of the header beyond ASCII stand in comments; as ``_write`` escapes them they mean the same. Rows
-    of text may have NaN and infinity as Microsoft's C library writes them.
-    """
-    with open(path, "rb") as file:
-        header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
-        file.seek(len(header))
-        is_text = _TEXT_FORMAT.search(header) is not None
-        blocks = iter(partial(file.read, _TEXT_BLOCK), b"") if is_text else ()
-        is_microsofts = any(b"#" in block or b"(" in block for block in blocks)
-        if header.isascii() and not is_microsofts:
-            return str(path)
-        file.seek(len(header))
-        rest = file.read()
-    if is_microsofts:
-        rest = _MICROSOFTS_NAN.sub(b"nan", _MICROSOFTS_INFINITY.sub(rb"\1inf", rest))
-    try:
-        text = header.decode("utf-8")
-    except UnicodeDecodeError:  # a code page of Windows
-        text = header.decode("latin-1")
-    return io.BytesIO(text.encode("ascii", "backslashreplace") + rest)
-
-
-def _check_room(path: Path) -> None:
-    """Raises ``ValueError`` where a file is too short for what its header claims.
-
-    plyfile takes memory for the rows of a text file, and of those with lists, before it looks for them. In
-    either form a value has one byte at least.
-    """
-    with open(path, "rb") as file:
-        header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
-    size = path.stat().st_size
-    rows = values = 0
-    for words in (line.split() for line in header.splitlines()):
-        if words[:1] == [b"element"] and len(words) == 3:
-            rows = int(words[2])
-        elif words[:1] == [b"property"]:
-            values += rows
-    if values > size:
-        raise ValueError(f"it claims {values} values in {size} bytes")
-
-
-#: A line of the header; comments begin with another word.
-_TEXT_FORMAT = re.compile(rb"^format\s+ascii\s", re.MULTILINE)
-#: 1.#INF, and of ``printf`` 1.#INF00 or 1.#INF00e+000; newer versions write inf as all do.
-_MICROSOFTS_INFINITY = re.compile(rb"([+-]?)1\.#INF0*(?:e[+-]\d+)?(?=\s|\Z)", re.IGNORECASE)
-#: 1.#QNAN, 1.#SNAN and −1.#IND likewise; of newer versions nan(ind) and nan(snan).
-_MICROSOFTS_NAN = re.compile(
-    rb"[+-]?(?:1\.#(?:QNAN|SNAN|IND)0*(?:e[+-]\d+)?|nan\((?:ind|snan)\))(?=\s|\Z)", re.IGNORECASE
-)
-#: Bytes at a time where rows of text are looked through.
-_TEXT_BLOCK = 1 << 20
-#: Bytes; the comments of a lossless PLY, with its networks, have a few hundred thousand.
-_LONGEST_HEADER = 1 << 24
+    return GaussianPly(_up_to_degree_3(columns), ply.comments)
 
 
 _GAUSSIANS_HINT = (
@@ -368,9 +300,10 @@ def _up_to_degree_3(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return kept
 
 
-def _columns(table: np.ndarray[Any, Any], names: list[str]) -> dict[str, np.ndarray]:
-    """``names`` of a structured array, each a contiguous float32 ``[N]``."""
-    if table.dtype.names != tuple(names) or any(table.dtype[name] != np.dtype("<f4") for name in names):
+def _columns(table: np.ndarray[Any, Any]) -> dict[str, np.ndarray]:
+    """The columns of a structured array, each a contiguous float32 ``[N]``."""
+    names = table.dtype.names or ()
+    if any(table.dtype[name] != np.dtype("<f4") for name in names):
         return {name: np.array(table[name], dtype=np.float32) for name in names}
     # One pass over the file by blocks of rows; column by column each pass would touch all of it.
     rows = np.ascontiguousarray(table).view("<f4").reshape(len(table), len(names))

@@ -18,6 +18,8 @@ from .errors import BadValueError, FileDamagedError, FileMissingError, PhysHDREr
 
 #: Bytes of a text that is read whole; a transforms file of a hundred thousand frames has 60 million.
 LARGEST_TEXT = 1 << 27
+#: Bytes of a header before rows or tensors; that of a lossless PLY, with its networks, has some 300,000.
+LONGEST_HEADER = 1 << 21
 
 #: What a path may lead to instead of a file.
 _OTHERS = (
@@ -122,17 +124,13 @@ def read_text(path: Path, remedy: str = "", limit: int = LARGEST_TEXT) -> str:
 
 
 def read_json(path: Path, remedy: str = "", limit: int = LARGEST_TEXT) -> Any:
-    """What a JSON file holds; raises what ``read_bytes`` raises, ``FileDamagedError`` where it is no JSON.
+    """What a JSON file holds, as ``parse_json`` has it.
 
-    Refused, too, is what Python's reader lets pass: a name that stands twice in an object, of which only the
-    last would count, and halves of characters, which no terminal or file can show.
+    Raises what ``read_bytes`` raises, ``FileDamagedError`` where it is no JSON.
     """
     raw = read_bytes(path, remedy, limit)
     try:
-        text = raw.decode("utf-8-sig")
-        content = json.loads(text, object_pairs_hook=_object)
-        if "\\ud" in text or "\\uD" in text:
-            json.dumps(content, ensure_ascii=False).encode("utf-8")
+        return parse_json(raw.decode("utf-8-sig"))
     except json.JSONDecodeError as error:
         raise FileDamagedError(
             f"{path} is not valid JSON: line {error.lineno}, column {error.colno}: {error.msg}",
@@ -140,6 +138,17 @@ def read_json(path: Path, remedy: str = "", limit: int = LARGEST_TEXT) -> Any:
         ) from error
     except (ValueError, RecursionError) as error:  # not UTF-8, thousands of digits, thousands of brackets
         raise FileDamagedError(f"{path} cannot be read as JSON: {error}", remedy) from error
+
+
+def parse_json(text: str) -> Any:
+    """What a JSON text says; raises ``ValueError`` and ``RecursionError``.
+
+    Refused, too, is what Python's reader lets pass: a name that stands twice in an object, of which only the
+    last would count, and halves of characters, which no terminal or file can show.
+    """
+    content = json.loads(text, object_pairs_hook=_object)
+    if "\\ud" in text or "\\uD" in text:
+        json.dumps(content, ensure_ascii=False).encode("utf-8")
     return content
 
 

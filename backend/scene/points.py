@@ -11,8 +11,8 @@ import plyfile
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
-from ...bridge.gaussian_ply import open_ply
 from ...bridge.limits import COORDINATE
+from ...bridge.ply import open_ply
 from ...bridge.regular import damaged_where_it_fails
 from .scene import Points, Scene
 
@@ -39,7 +39,7 @@ def read_points(path: Path) -> Points:
         "then starts from points that stereo finds."
     )
     ply = open_ply(path, "point cloud", remedy)
-    columns = {element.name: element.data for element in ply.elements}
+    columns = ply.elements
     wanted = ("x", "y", "z", "red", "green", "blue")
     lacking = (
         [name for name in wanted if name not in (columns["vertex"].dtype.names or ())]

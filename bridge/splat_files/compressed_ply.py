@@ -15,13 +15,12 @@ An element ``sh`` has ``f_rest_*``, channel by channel, in bytes: 256 steps over
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import plyfile
 
 from ..errors import FileDamagedError
 from ..gaussian_ply import REST_COUNTS, SH_C0
+from ..ply import Ply
 from .cloud import UP, SplatCloud
 
 #: Gaussians of a chunk.
@@ -33,20 +32,19 @@ _SH_RANGE = np.float32(4.0)
 _REMEDY = "Save or convert it again: it may be cut off."
 
 
-def cloud_of_compressed(path: Path, ply: plyfile.PlyData) -> SplatCloud:
+def cloud_of_compressed(path: Path, ply: Ply) -> SplatCloud:
     """The Gaussians of an opened PLY in the compressed layout; ``path`` is for messages.
 
     Raises ``FileDamagedError`` where a column is missing or too short.
     """
-    elements = {element.name: element for element in ply.elements}
-    chunks, packed, sh = (elements.get(name) for name in ("chunk", "vertex", "sh"))
+    chunks, packed, sh = (ply.elements.get(name) for name in ("chunk", "vertex", "sh"))
     if chunks is None or packed is None:
         raise FileDamagedError(f"{path}: a compressed PLY without its chunks or Gaussians", _REMEDY)
-    count = packed.count
-    if chunks.count * CHUNK < count or (sh is not None and sh.count != count):
+    count = len(packed)
+    if len(chunks) * CHUNK < count or (sh is not None and len(sh) != count):
         raise FileDamagedError(
-            f"{path}: {count} Gaussians with {chunks.count} chunks of {CHUNK}"
-            + (f" and {sh.count} rows of SH" if sh is not None else ""),
+            f"{path}: {count} Gaussians with {len(chunks)} chunks of {CHUNK}"
+            + (f" and {len(sh)} rows of SH" if sh is not None else ""),
             _REMEDY,
         )
     which = np.arange(count) // CHUNK
@@ -74,7 +72,7 @@ def cloud_of_compressed(path: Path, ply: plyfile.PlyData) -> SplatCloud:
         for what, name in (("", "position"), ("scale_", "scale"))
     )
     *rgb, opacity = _shares(words("packed_color"), (8, 8, 8, 8))
-    if "min_r" in (p.name for p in chunks.properties):
+    if "min_r" in (chunks.dtype.names or ()):
         rgb = [bounded(share, channel) for channel, share in zip("rgb", rgb, strict=True)]
     planes = _higher(path, sh, count)
     for channel, colour in enumerate(rgb):
@@ -91,11 +89,11 @@ def cloud_of_compressed(path: Path, ply: plyfile.PlyData) -> SplatCloud:
     )
 
 
-def _column(path: Path, element: Any, name: str, kinds: str) -> np.ndarray:
+def _column(path: Path, table: np.ndarray, name: str, kinds: str) -> np.ndarray:
     """A column of an element, whose numbers are of ``kinds`` (of numpy: u, i, f)."""
-    if name not in (p.name for p in element.properties):
-        raise FileDamagedError(f"{path}: a compressed PLY whose {element.name} has no {name}", _REMEDY)
-    column = element.data[name]
+    if name not in (table.dtype.names or ()):
+        raise FileDamagedError(f"{path}: a compressed PLY without a column {name}", _REMEDY)
+    column = table[name]
     if column.dtype.kind not in kinds:
         raise FileDamagedError(f"{path}: a compressed PLY whose {name} is {column.dtype}", _REMEDY)
     return column
@@ -128,12 +126,14 @@ def with_largest(largest: np.ndarray, others: np.ndarray) -> np.ndarray:
     return full
 
 
-def _higher(path: Path, sh: Any, count: int) -> np.ndarray:
+def _higher(path: Path, sh: np.ndarray | None, count: int) -> np.ndarray:
     """Planes ``[K, 3, N]`` of SH, of which the first is still to be filled."""
-    names = [] if sh is None else [p.name for p in sh.properties if p.name.startswith("f_rest_")]
-    if len(names) not in REST_COUNTS:
-        raise FileDamagedError(f"{path}: a compressed PLY with {len(names)} columns of SH", _REMEDY)
-    rest = len(names) // 3
+    if sh is None:
+        return np.empty((1, 3, count), np.float32)
+    columns = sum(name.startswith("f_rest_") for name in sh.dtype.names or ())
+    if columns not in REST_COUNTS:
+        raise FileDamagedError(f"{path}: a compressed PLY with {columns} columns of SH", _REMEDY)
+    rest = columns // 3
     planes = np.empty((rest + 1, 3, count), np.float32)
     for channel in range(3):
         for k in range(rest):

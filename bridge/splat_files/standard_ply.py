@@ -62,7 +62,7 @@ def _smoothed(scale: np.ndarray, opacity: np.ndarray, wide: np.ndarray) -> dict[
 
 def up_of(ply: GaussianPly) -> Up:
     """Which way is up, by what the PLY says of itself, or else by convention."""
-    if any(_Y_UP.search(line) for line in ply.comments):
+    if any(_Y_UP.match(line) for line in ply.comments):
         return "y"
     for line in ply.comments:
         if _Z_UP.search(line):

@@ -15,7 +15,7 @@ from PIL import Image
 
 from ....bridge.atomic import atomic_path
 from ....bridge.errors import PhysHDRError
-from ....bridge.gaussian_ply import open_ply
+from ....bridge.ply import open_ply
 from ..points import STRUCTURE_FROM_MOTION
 from ..scene import View
 from .structure import MATCH_SIDE, SMALL_SIDE, StructureError, require_pycolmap, run_colmap

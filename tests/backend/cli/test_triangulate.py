@@ -22,7 +22,7 @@ from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.axes import camera_to_world_opengl
 from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from physhdr.bridge.errors import PhysHDRError
-from physhdr.bridge.gaussian_ply import open_ply
+from physhdr.bridge.ply import open_ply
 
 VIEWS, SIZE, FOCAL = 7, (320, 240), 300.0
 SFM = "points3d_sfm.ply"
