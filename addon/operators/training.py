@@ -46,10 +46,6 @@ class _Training(PhysHDROperator):
     if TYPE_CHECKING:
         wait: bool
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        choose_named(context)
-        return super().execute(context)
-
     def begin(self, request: Request) -> set[str]:
         current = session()
         current.ask(request)
@@ -106,7 +102,11 @@ def _whole(chosen: str, what: str, name: str) -> str:
 
 
 def _run_folder(operator: bpy.types.Operator, context: bpy.types.Context, data: str) -> str:
-    """The run's folder as a whole path: what is given, chosen, or proposed for the data set ``data``."""
+    """The run's folder as a whole path: what is given, chosen, or proposed for the data set ``data``.
+
+    Who asks is about to use it, and the scene's data set.
+    """
+    choose_named(context)
     chosen = _chosen(operator, context, "out") or proposed_run(data)
     return _whole(chosen, "folder of a run", "out")
 
@@ -360,7 +360,6 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """In a window: ask for the file, and import it when it is there, without holding Blender up."""
-        choose_named(context)
         if not self._ask(context):
             return self.execute(context)
         self._began = time.monotonic()
