@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.regular import require_text
-from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
 from ..kernels.ahead import Needs
 from ..rasterize import Implementation
@@ -102,7 +101,7 @@ def start_run(
             remove_results(folder)
             EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, config, data, preset)
-        write_views(folder, scene)
+        trainer.views_digest = write_views(folder, scene)
         with reading_ahead(trainer, config.iterations):
             yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
 
@@ -122,8 +121,6 @@ def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[
         scene = read_scene(data or written.data, written.config.downscale, written.config.color_space)
         scene = as_trained(folder, scene, workshop.report)
         trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
-        if not (folder / VIEWS_FILE).exists():  # an earlier version's
-            write_views(folder, scene)
         run = Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
         with reading_ahead(trainer, run.config.iterations):
             yield trainer, run

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ...bridge.camera_list import ListedCamera
-from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError
+from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.model_file import PHOTOGRAPHED_EV, Model
-from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
 from ..export.confidence import Seen, confidence_of
@@ -25,7 +24,7 @@ from ..train.learned_poses import moved
 from ..train.trainer import Trainer, learned_of_photographs, load_method
 from ..train.views import seen_exposures, training_views
 from .terminal import console
-from .views import as_trained, read_views
+from .views import as_trained, has_its_pictures, read_views
 
 
 @dataclass(frozen=True)
@@ -99,11 +98,14 @@ class Run:
         return listed
 
     def seen(self) -> list[Seen] | None:
-        """The pictures that training saw, as ``confidence_of`` wants them; None where they are not there."""
+        """The pictures that training saw, as ``confidence_of`` wants them.
+
+        None where they are not there, or others are in their place.
+        """
         views = self.trained_views()
         positions = seen_exposures(views, self.config)
         named = (view.sources[k].path for view, which in zip(views, positions, strict=True) for k in which)
-        if not all(path.is_file() for path in named):
+        if not (all(path.is_file() for path in named) and has_its_pictures(self.folder, self.scene)):
             return None
         photos, lenses = self.scene.photographs, self.lenses
         effects = (None if lenses is None else lenses.falloff(view.camera) for view in views)
@@ -113,7 +115,7 @@ class Run:
     def confidence(
         self, method: SplattingMethod, show: Callable[[int, int, str], None] | None = None
     ) -> np.ndarray | None:
-        """``[N]`` of ``on_gaussians()``; None where the training pictures are not there to tell it."""
+        """``[N]`` of ``on_gaussians()``; None where ``seen()`` has no pictures to tell it."""
         seen = self.seen()
         return None if seen is None else confidence_of(method, seen, show)
 
@@ -178,17 +180,11 @@ def _scene(
     """The run's data set, or what it keeps of it where that is not there and no pictures are wanted."""
     config = written.config
     if data is None and not pictures and not written.data.exists():
-        if not (folder / VIEWS_FILE).exists():
-            raise FileMissingError(
-                f"the data set of {folder} is not there: {written.data}",
-                "Choose the data set where it is now. An earlier version trained this run, and kept nothing "
-                "of it by which the run could be looked at.",
-            )
         report(f"{written.data} is not there: opened by what the run keeps of its cameras")
         return read_views(folder, written.data)
     scene = read_scene(data or written.data, config.downscale, config.color_space)
     try:
-        return as_trained(folder, scene, report)
+        return as_trained(folder, scene, report, pictures)
     except DataMismatchError as error:
         if data is not None or pictures:
             raise

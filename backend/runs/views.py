@@ -3,9 +3,11 @@
 
 Cameras, exposures, lights and the known point of the response are all that drawing and exporting need of a
 data set. With them a run can be looked at when the data set has moved or is gone; whoever asks for a picture
-is told that it is not there.
+is told that it is not there. What its pictures held (``contents``) tells whether those that are there are the
+same. A checkpoint names the file's digest, so that no other one takes its place.
 """
 
+import hashlib
 import itertools
 import json
 import os
@@ -22,19 +24,27 @@ from ...bridge.data_set import HELD_OUT, LIT, TEST, TRAIN, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import check_lights
 from ...bridge.limits import EXPOSURE, LEVEL, is_number
-from ...bridge.regular import read_json_object
-from ...bridge.run_folder import VIEWS_FILE, VIEWS_FORMAT, VIEWS_VERSION
+from ...bridge.regular import read_bytes, read_json_object
+from ...bridge.run_folder import CHECKPOINT_FILE, VIEWS_FILE, VIEWS_FORMAT, VIEWS_VERSION
 from ..scene import Camera, Scene, View, read_scene
 from ..scene.encoding import LogEncoding
 from ..scene.scene import PictureCache
 from ..scene.source import PictureSource, plain
-from ..train.config import CONFIG_FILE, read_config
+from ..train.checkpoint import VIEWS, read_metadata
+from .contents import Contents, contents_of, first_difference
 
-RESTORE = "Restore a copy; or delete it, and the run is known by its data set alone."
+RESTORE = "Restore a copy of it, or train again with --overwrite."
 
 
-def write_views(folder: Path, scene: Scene) -> None:
-    """Keep what drawing needs of ``scene``; raises ``OutputError``."""
+def write_views(folder: Path, scene: Scene) -> str:
+    """Keep what drawing needs of ``scene``, and what its pictures hold; raises ``OutputError``.
+
+    The SHA-256 of the file, for the run's checkpoints.
+    """
+    splits = {
+        name: [_told(*each, scene.root) for each in zip(views, contents_of(views), strict=True)]
+        for name, views in scene.splits.items()
+    }
     content: dict[str, Any] = {
         "format": VIEWS_FORMAT,
         "version": VIEWS_VERSION,
@@ -43,29 +53,51 @@ def write_views(folder: Path, scene: Scene) -> None:
         "anchor": scene.response_anchor,
         "lights": scene.lights,
         "photographs": scene.photographs,
-        "splits": {name: [_told(view, scene.root) for view in views] for name, views in scene.splits.items()},
+        "splits": splits,
     }
     if (scale := _radiance_scale(scene)) is not None:
         content["radiance_scale"] = scale
+    written = (json.dumps(content) + "\n").encode()
     with atomic_path(folder / VIEWS_FILE) as temporary:
-        temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")
+        temporary.write_bytes(written)
+    return hashlib.sha256(written).hexdigest()
 
 
 def read_views(folder: Path, root: Path) -> Scene:
     """The scene of the run in ``folder`` with no picture in reach, as if its data set still were at ``root``.
 
-    Raises ``FileMissingError`` where the run kept none (those of earlier versions), ``FileDamagedError``, and
-    ``DataMismatchError`` for another version.
+    Raises ``FileMissingError`` where there is no such file, ``FileDamagedError``, and ``DataMismatchError``
+    for another version, and where it is not the file that the run's checkpoint was trained with.
+    """
+    return _scene_of(_kept(folder), folder / VIEWS_FILE, root)
+
+
+def _kept(folder: Path) -> dict[str, Any]:
+    """What the file says, which belongs to the checkpoint beside it, if there is one.
+
+    Raises as ``read_views``.
     """
     path = folder / VIEWS_FILE
+    metadata = read_metadata(folder / CHECKPOINT_FILE)
+    if metadata and metadata[VIEWS] != hashlib.sha256(read_bytes(path, RESTORE)).hexdigest():
+        raise DataMismatchError(
+            f"{path} is not the one that {folder / CHECKPOINT_FILE} was trained with: what was trained on "
+            "could pass for held out",
+            RESTORE,
+        )
     content = read_json_object(path, RESTORE)
     if content.get("format") != VIEWS_FORMAT:
         raise FileDamagedError(f"{path} is none of ours", RESTORE)
     if content.get("version") != VIEWS_VERSION:
         raise DataMismatchError(
             f"{path} has version {content.get('version')!s:.20}, this program reads {VIEWS_VERSION}",
-            "Use the version of PhysHDR that wrote it, or name the run's data set.",
+            "Use the version of PhysHDR that wrote it.",
         )
+    return content
+
+
+def _scene_of(content: Mapping[str, Any], path: Path, root: Path) -> Scene:
+    """``content`` of the file at ``path`` as a scene; raises ``FileDamagedError``."""
     cache = PictureCache()
     splits: dict[str, list[View]] = {}
     try:
@@ -79,8 +111,7 @@ def read_views(folder: Path, root: Path) -> Scene:
             _require(anchor[0] > 0.0)
         _require(bool(splits["train"]))
         _kept_scale(content)
-        photographs = content.get("photographs")  # earlier versions did not say
-        _require(photographs is None or isinstance(photographs, bool))
+        _require(isinstance(content["photographs"], bool))
         return Scene(
             root,
             str(content["name"]),
@@ -92,7 +123,7 @@ def read_views(folder: Path, root: Path) -> Scene:
             layout=str(content["layout"]),
             messages=("the data set is not there: the run knows its cameras",),
             validation=splits.get("val", []),
-            known_photographs=photographs,
+            known_photographs=content["photographs"],
         )
     except (KeyError, TypeError, ValueError, AttributeError, BadValueError, DataMismatchError) as error:
         raise FileDamagedError(f"{path} does not hold a data set's views: {error!s:.80}", RESTORE) from error
@@ -100,33 +131,38 @@ def read_views(folder: Path, root: Path) -> Scene:
 
 def training_cameras(folder: Path) -> list[Camera]:
     """The cameras of the training views of a run, or of a data set. Raises what reading either raises."""
-    if (folder / VIEWS_FILE).exists():
-        scene = read_views(folder, folder)
-    elif (folder / CONFIG_FILE).exists():
-        written = read_config(folder / CONFIG_FILE)
-        scene = read_scene(written.data, written.config.downscale, written.config.color_space)
-    else:
-        scene = read_scene(folder)
+    scene = read_views(folder, folder) if (folder / VIEWS_FILE).exists() else read_scene(folder)
     return [view.camera for view in scene.train]
 
 
-def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lambda line: None) -> Scene:
+def as_trained(
+    folder: Path,
+    scene: Scene,
+    report: Callable[[str], object] = lambda line: None,
+    pictures: bool = True,
+) -> Scene:
     """``scene``, which was read for the run in ``folder``, divided into training and test views as the run's.
 
     A split may have been found, not given, and comes out otherwise where photographs were added or the rule
     is another version's: what was trained on would be tested. So the run's own split stands, its views known
     by name, and it is told to ``report``. Where training views are the same, test views are those that the
     data set has now. Raises ``DataMismatchError`` where a view that was trained on is not there as it was,
-    and where the known point of the response is another. Of runs that kept nothing nothing can be said.
-    Radiance is compared at the scale that it was trained at, whatever pictures were added since.
+    and where the known point of the response is another. Radiance is compared at the scale that it was
+    trained at, whatever pictures were added since.
+    ``pictures``: whether what those hold is compared, too. Others in the place of those trained on raise
+    ``DataMismatchError``; where they are held out, that is reported.
     """
-    if not (folder / VIEWS_FILE).exists():
-        return scene
-    kept = read_views(folder, scene.root)
+    content = _kept(folder)
+    kept = _scene_of(content, folder / VIEWS_FILE, scene.root)
     _require_same_anchor(kept.response_anchor, scene.response_anchor, folder, scene.root)
-    scene = _at_scale(scene, _kept_scale(read_json_object(folder / VIEWS_FILE, RESTORE)), report)
-    if _are_same(kept.train, scene.train) and _are_same(kept.lit, scene.lit):
-        return scene
+    scene = _at_scale(scene, _kept_scale(content), report)
+    if not (_are_same(kept.train, scene.train) and _are_same(kept.lit, scene.lit)):
+        scene = _divided(scene, kept, folder, report)
+    return _with_known_pictures(scene, kept, content, folder, report) if pictures else scene
+
+
+def _divided(scene: Scene, kept: Scene, folder: Path, report: Callable[[str], object]) -> Scene:
+    """``scene`` in the splits of ``kept``; raises ``DataMismatchError``."""
     there: dict[str, list[View]] = {}
     for view in itertools.chain.from_iterable(scene.splits.values()):
         there.setdefault(view.name, []).append(view)
@@ -145,6 +181,38 @@ def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lam
     return _with_splits(scene, splits, told)
 
 
+def _with_known_pictures(
+    scene: Scene, kept: Scene, content: Mapping[str, Any], folder: Path, report: Callable[[str], object]
+) -> Scene:
+    """``scene``, whose views are in the order of ``kept``'s, and in its messages which pictures are others.
+
+    Raises ``DataMismatchError`` where one of those was trained on.
+    """
+    for name in (TRAIN, LIT):
+        if difference := first_difference(scene.splits[name], _contents(content, name)):
+            raise _other_data(folder, scene.root, difference)
+    for name in HELD_OUT:
+        before = {
+            view.name: each for view, each in zip(kept.splits[name], _contents(content, name), strict=True)
+        }
+        views = [view for view in scene.splits[name] if len(before.get(view.name, ())) == len(view.sources)]
+        if difference := first_difference(views, [before[view.name] for view in views]):
+            told = f"held-out pictures are not those that the run was begun with: {difference}"
+            report(told)
+            scene = replace(scene, messages=(*scene.messages, told))
+    return scene
+
+
+def has_its_pictures(folder: Path, scene: Scene) -> bool:
+    """Whether the training pictures of ``scene``, divided as the run in ``folder``, are those of the run."""
+    content = _kept(folder)
+    return not any(first_difference(scene.splits[name], _contents(content, name)) for name in (TRAIN, LIT))
+
+
+def _contents(content: Mapping[str, Any], split: str) -> list[list[Contents]]:
+    return [view["contents"] for view in content["splits"].get(split, ())]
+
+
 def _radiance_scale(scene: Scene) -> float | None:
     """The scale of the pictures of radiance, one for a whole data set; None where there are none."""
     views = itertools.chain.from_iterable(scene.splits.values())
@@ -153,7 +221,7 @@ def _radiance_scale(scene: Scene) -> float | None:
 
 
 def _kept_scale(content: Mapping[str, Any]) -> float | None:
-    """``_radiance_scale`` in a run's file; None of earlier versions, too. Raises as ``_view``."""
+    """``_radiance_scale`` in a run's file. Raises as ``_view``."""
     kept = content.get("radiance_scale")
     return None if kept is None else LogEncoding(_number(kept)).scale
 
@@ -250,7 +318,7 @@ def _difference(before: View, now: View) -> str:
     return ""
 
 
-def _told(view: View, root: Path) -> dict[str, Any]:
+def _told(view: View, contents: list[Contents], root: Path) -> dict[str, Any]:
     camera = view.camera
     return {
         "name": view.name,
@@ -259,6 +327,7 @@ def _told(view: View, root: Path) -> dict[str, Any]:
         "bracket": view.bracket,
         "levels": view.lighting_levels,
         "pictures": [_name(path, root) for path in view.image_paths],
+        "contents": contents,
         "pose": camera.camera_to_world.reshape(-1).tolist(),
         "size": [camera.width, camera.height],
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
@@ -284,6 +353,9 @@ def _view(told: dict[str, Any], root: Path, lights: int, cache: PictureCache) ->
     width, height = (_whole(side) for side in told["size"])
     _require(width > 0 and height > 0)
     fx, fy, cx, cy = (_number(value) for value in told["intrinsics"])
+    contents = told["contents"]
+    _require(isinstance(contents, list) and len(contents) == len(exposures))
+    _require(all(isinstance(each, dict) for each in contents))
     return View(
         name=str(told["name"]),
         camera=Camera(pose, width, height, fx, fy, cx, cy),

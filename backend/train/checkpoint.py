@@ -2,8 +2,8 @@
 """One file that holds everything a run needs to go on bit-identically, replaced atomically.
 
 A safetensors file: parameters, Adam's moments, densification statistics; in its metadata the iteration and
-which configuration it belongs to. Random numbers are drawn from (seed, iteration), so there is no generator
-state to keep.
+which configuration and which views it belongs to. Random numbers are drawn from (seed, iteration), so there
+is no generator state to keep.
 """
 
 import hashlib
@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -19,26 +20,25 @@ from safetensors.torch import save_file
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
-from ...bridge.lights import AMBIENT, check_lights
+from ...bridge.lights import check_lights
 from ...bridge.limits import LOG_RADIANCE_MAX
-from ..kernels.activations import LOG_RADIANCE_RANGE
+from ...bridge.model_file import HEADER_BYTES_MAX
+from ...bridge.regular import parse_json
 from ..methods.base import Responses
 
 FORMAT = "physhdr-checkpoint"
 VERSION = 1
-#: The light's parameter, ``[N, C, 3]``, and what it is called in the file where the ambient light is the only
-#: one, ``[N, 3]``: as it was before there were others.
-SHARES, AMBIENT_SHARES = ".light_share_logits", ".ambient_share_logits"
-
-
 #: How often a checkpoint is read that is replaced meanwhile; a training replaces it twice a minute.
 READS = 20
-#: In the metadata: ``config.fingerprint`` of the run, and the SHA-256 of all tensors.
-CONFIGURATION, DIGEST = "configuration", "digest"
-#: Which responses its training pictures had (``methods.base.Responses``); without it all were learned.
+#: In the metadata: ``config.fingerprint`` of the run, and the SHA-256 of its ``views.json``.
+CONFIGURATION, VIEWS = "configuration", "views"
+#: Names of the lights that the model has levels for, and bounds of the ln radiance that it draws; both JSON.
+LIGHTS, RANGE = "lights", "log_radiance_range"
+#: Which responses its training pictures had (``methods.base.Responses``).
 RESPONSES = "responses"
-#: Bounds of the ln radiance of what its model draws, as JSON; without it ``LOG_RADIANCE_RANGE``.
-RANGE = "log_radiance_range"
+#: SHA-256 of everything else that the file holds.
+DIGEST = "digest"
+METADATA = ("iteration", "seconds", "cpu_seconds", CONFIGURATION, VIEWS, LIGHTS, RANGE, RESPONSES)
 
 
 @dataclass(frozen=True)
@@ -50,27 +50,15 @@ class Reached:
     cpu_seconds: float
 
 
-def save_checkpoint(
-    path: Path,
-    tensors: dict[str, torch.Tensor],
-    metadata: dict[str, str],
-    lights: tuple[str, ...] = (AMBIENT,),
-) -> None:
+def save_checkpoint(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
     """Write the tensors; an older file at ``path`` survives until the new one is whole.
 
-    ``lights``: names of the lights that the model has levels for. Raises ``OutputError`` where it cannot be
-    written (a full disk, no permission).
+    ``metadata``: a value for each name of ``METADATA``. Raises ``OutputError`` where it cannot be written (a
+    full disk, no permission).
     """
     metadata = {"format": FORMAT, "version": str(VERSION), **metadata}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    if lights == (AMBIENT,):
-        tensors = {
-            name.replace(SHARES, AMBIENT_SHARES): tensor.squeeze(1) if _is_share(name, tensor, 3) else tensor
-            for name, tensor in tensors.items()
-        }
-    else:
-        metadata["lights"] = json.dumps(list(lights))
-    metadata[DIGEST] = _digest(tensors)
+    metadata[DIGEST] = digest_of(tensors, metadata)
     remedy = "Free some space, then resume the training. What was saved before is untouched."
     try:
         with atomic_path(path, remedy=remedy) as temporary:
@@ -95,20 +83,39 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
             "Train first: physhdr train DATA --out RUN, or name another run.",
         )
     tensors, metadata = _read(path)
-    if metadata.get("format") != FORMAT:
+    _check_metadata(metadata, path)
+    if metadata[DIGEST] != digest_of(tensors, metadata):
+        raise damaged(path, "its content is not what was written")
+    return tensors, metadata
+
+
+def read_metadata(path: Path) -> dict[str, str] | None:
+    """A checkpoint's metadata alone, which are not compared with its digest; None where there is no file.
+
+    Raises as ``load_checkpoint``.
+    """
+    if not path.is_file():
+        return None
+    try:
+        metadata = _header(path)["__metadata__"]
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+        raise damaged(path, f"its header cannot be read: {str(error)[:200]}") from error
+    _check_metadata(metadata, path)
+    return metadata
+
+
+def _check_metadata(metadata: dict[str, str], path: Path) -> None:
+    """Whether a PhysHDR checkpoint of this version can have them; raises as ``load_checkpoint``."""
+    if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
         raise FileDamagedError(f"{path} is not a PhysHDR checkpoint", "Name a folder that 'train' wrote.")
     if metadata.get("version") != str(VERSION):
         raise DataMismatchError(
             f"{path} has checkpoint version {metadata.get('version')!s:.20}, this program reads {VERSION}",
             "Use the version of PhysHDR that wrote it.",
         )
-    if metadata.get(DIGEST, "") not in ("", _digest(tensors)):  # none: of before there was one
-        raise damaged(path, "its numbers are not those that were written")
-    tensors = {
-        name.replace(AMBIENT_SHARES, SHARES): tensor[:, None] if _is_share(name, tensor, 2) else tensor
-        for name, tensor in tensors.items()
-    }
-    return tensors, metadata
+    for name in (*METADATA, DIGEST):
+        if not isinstance(metadata.get(name), str):
+            raise damaged(path, f"its metadata do not say its {name}")
 
 
 def _read(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
@@ -122,6 +129,7 @@ def _read(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         try:
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
+                _header(path)  # the library takes a name that stands twice
                 # Copies: the library's are the mapped file, which Windows does not let anybody replace.
                 tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118 (no dict)
             if _identity(path) == before or attempt == READS - 1:
@@ -134,6 +142,13 @@ def _read(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     raise AssertionError("the last attempt returns or raises")
 
 
+def _header(path: Path) -> Any:
+    """The file's JSON header; raises ``OSError`` and what ``parse_json`` raises."""
+    with open(path, "rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        return parse_json(file.read(min(length, HEADER_BYTES_MAX)).decode("utf-8"))
+
+
 def _identity(path: Path) -> tuple[int, int, int]:
     """Of the file that has this name now; zeros where there is none."""
     try:
@@ -143,32 +158,25 @@ def _identity(path: Path) -> tuple[int, int, int]:
     return found.st_ino, found.st_mtime_ns, found.st_size
 
 
-def require_configuration(metadata: Mapping[str, str], fingerprint: str, path: Path) -> bool:
-    """Raises ``DataMismatchError`` where the checkpoint belongs to another configuration.
-
-    False where it does not say which one: those of before there were fingerprints.
-    """
-    named = metadata.get(CONFIGURATION)
-    if named is None:
-        return False
-    if named != fingerprint:
+def require_configuration(metadata: Mapping[str, str], fingerprint: str, path: Path) -> None:
+    """Raises ``DataMismatchError`` where the checkpoint belongs to another configuration."""
+    if metadata[CONFIGURATION] != fingerprint:
         raise DataMismatchError(
             f"{path} was trained with another configuration than the one that lies beside it",
             "Restore the config.json that it was trained with, or train again with --overwrite.",
         )
-    return True
 
 
 def progress_of(metadata: Mapping[str, str], iterations: int, path: Path) -> Reached:
     """How far the training was, of ``iterations`` in all; raises ``FileDamagedError``."""
-    written = metadata.get("iteration", "")
+    written = metadata["iteration"]
     # int() takes underscores, blanks and other scripts' digits.
     if not (written.isascii() and written.isdigit() and int(written[:20]) <= iterations):
         raise damaged(path, f"its iteration is {written[:20]!r}, of {iterations} in all")
     seconds = []
     for name in ("seconds", "cpu_seconds"):
         try:
-            value = float(metadata.get(name, "0"))
+            value = float(metadata[name])
         except ValueError:
             value = math.nan
         if not 0.0 <= value < math.inf:
@@ -208,9 +216,13 @@ def damaged(path: Path, why: str) -> FileDamagedError:
     )
 
 
-def _digest(tensors: Mapping[str, torch.Tensor]) -> str:
-    """SHA-256 of the tensors' names and bytes: a bit that has tipped over would train on unseen."""
-    digest = hashlib.sha256()
+def digest_of(tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]) -> str:
+    """SHA-256 of the metadata, and of the tensors' names and bytes.
+
+    A bit that has flipped would be trained from unnoticed.
+    """
+    said = sorted((name, value) for name, value in metadata.items() if name != DIGEST)
+    digest = hashlib.sha256(json.dumps(said).encode())
     for name in sorted(tensors):
         digest.update(name.encode())
         # As bytes: NumPy does not know every type that a file may name.
@@ -222,18 +234,14 @@ def _words(tensor: torch.Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
 
 
-def lights_of(metadata: dict[str, str], path: Path) -> tuple[str, ...]:
+def lights_of(metadata: Mapping[str, str], path: Path) -> tuple[str, ...]:
     """The lights of a checkpoint's model, from its metadata; raises ``BadValueError``."""
-    try:
-        named = json.loads(metadata["lights"]) if "lights" in metadata else [AMBIENT]
-    except (ValueError, RecursionError) as error:
-        raise damaged(path, f"its lights are not JSON: {error}") from error
-    return check_lights(named, str(path))
+    return check_lights(_json(metadata, LIGHTS, path), str(path))
 
 
 def responses_in(metadata: Mapping[str, str], path: Path) -> Responses:
     """Whether a checkpoint's model learned a response, from its metadata; raises ``FileDamagedError``."""
-    match metadata.get(RESPONSES, "learned"):
+    match metadata[RESPONSES]:
         case "learned" | "mixed" | "known" as responses:
             return responses
         case other:
@@ -242,17 +250,17 @@ def responses_in(metadata: Mapping[str, str], path: Path) -> Responses:
 
 def log_radiance_range_in(metadata: Mapping[str, str], path: Path) -> tuple[float, float]:
     """Bounds of the ln radiance of a checkpoint's model, from its metadata; raises ``FileDamagedError``."""
-    if RANGE not in metadata:
-        return LOG_RADIANCE_RANGE
     try:
-        low, high = (float(bound) for bound in json.loads(metadata[RANGE]))
-    except (ValueError, TypeError, RecursionError) as error:
+        low, high = (float(bound) for bound in _json(metadata, RANGE, path))
+    except (ValueError, TypeError, OverflowError) as error:
         raise damaged(path, f"its range of radiance is {metadata[RANGE]!r:.80}") from error
     if not -LOG_RADIANCE_MAX <= low < high <= LOG_RADIANCE_MAX:  # NaN is refused, too
         raise damaged(path, f"its range of radiance is {metadata[RANGE]!r:.80}")
     return low, high
 
 
-def _is_share(name: str, tensor: torch.Tensor, axes: int) -> bool:
-    """Whether this is the light's parameter or one of its moments (Adam's step count has no axes)."""
-    return (SHARES in name or AMBIENT_SHARES in name) and tensor.dim() == axes
+def _json(metadata: Mapping[str, str], name: str, path: Path) -> Any:
+    try:
+        return parse_json(metadata[name])
+    except (ValueError, RecursionError) as error:
+        raise damaged(path, f"its {name} is not JSON: {error!s:.200}") from error

@@ -240,5 +240,4 @@ class GaussianGrowth:
         return dict(vars(self.statistics)) | cleared
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
-        names = vars(self.statistics)  # checkpoints of earlier versions hold more
-        self.statistics = DensifyState(**{name: tensors[name] for name in names})
+        self.statistics = DensifyState(**{name: tensors[name] for name in vars(self.statistics)})

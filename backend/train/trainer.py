@@ -4,7 +4,7 @@
 import json
 import math
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,9 @@ import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
-from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Batch, Facts, Method, Recording, Responses, SplattingMethod
 from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
-from ..model.tone_mapper import MEASURED
 from ..rasterize import Implementation
 from ..rasterize.contract import CannotBeDrawnError
 from ..scene.points import with_points_file
@@ -29,8 +27,10 @@ from .beginning import Seen, begin
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
     CONFIGURATION,
+    LIGHTS,
     RANGE,
     RESPONSES,
+    VIEWS,
     check_tensors,
     damaged,
     lights_of,
@@ -113,6 +113,8 @@ class Trainer:
         self.pictures = Pictures(self.device)
         self.targets = SsimTargets()
         self.iteration = 0
+        #: SHA-256 of the run's views.json, which its checkpoints belong to; empty: there is none.
+        self.views_digest = ""
         #: What training took so far, the search for the first points included, in all its parts.
         self.seconds = self.cpu_seconds = 0.0
         self._sound = True  # whether the state is one that a checkpoint may hold
@@ -132,7 +134,7 @@ class Trainer:
         self.method = new_method(config.method, self.schedule.anchors, facts)
         state = self._restore(resumed) if resumed else {}
         #: What is learned of each photo; None where nothing is.
-        self.nuisances = self._new_nuisances(state, resumed)
+        self.nuisances = self._new_nuisances()
         #: Before these depths nothing was photographed; None where Gaussians may be anywhere.
         self._clearance = state.get(f"{STATISTICS}{CLEARANCE}")
         #: Where the views were taken from, as it is learned; None where it is taken as stated.
@@ -214,8 +216,8 @@ class Trainer:
         is_wanted = self.config.merged_brackets == "on" and merged.worst > 0.0  # 0: none has a bracket
         return merged if is_wanted or merged.worth_it else None
 
-    def _new_nuisances(self, state: Mapping[str, torch.Tensor], resumed: Path | None) -> Nuisances | None:
-        """As the configuration says; a run that was begun without (by an older PhysHDR) goes on without."""
+    def _new_nuisances(self) -> Nuisances | None:
+        """As the configuration says."""
         config, traits = self.config.nuisances, self.config.method.traits
         if config.mode == "on" and not traits.effects:
             raise BadValueError(
@@ -226,8 +228,7 @@ class Trainer:
         taken = any(encoding.clips for view in self.views for encoding in view.encodings)
         asked = (self.scene.photographs and taken) or self.config.calibration is not None
         wanted = config.mode == "on" or (config.mode == "auto" and asked and traits.effects)
-        begun_with = resumed is None or any(name.startswith(NUISANCES) for name in state)
-        if not (wanted and begun_with):
+        if not wanted:
             return None
         return Nuisances(
             self.views,
@@ -477,12 +478,12 @@ class Trainer:
             "seconds": f"{self.seconds:.3f}",
             "cpu_seconds": f"{self.cpu_seconds:.3f}",
             CONFIGURATION: self.configuration,
+            VIEWS: self.views_digest,
+            LIGHTS: json.dumps(self.lights),
+            RANGE: json.dumps(self.range),
+            RESPONSES: self.responses,
         }
-        if self.responses != "learned":
-            metadata[RESPONSES] = self.responses
-        if self.range != LOG_RADIANCE_RANGE:
-            metadata[RANGE] = json.dumps(self.range)
-        save_checkpoint(path, tensors, metadata, self.lights)
+        save_checkpoint(path, tensors, metadata)
         return Saved(self.iteration, str(path))
 
     def _restore(self, folder: Path) -> dict[str, torch.Tensor]:
@@ -490,8 +491,7 @@ class Trainer:
         path = folder / CHECKPOINT_FILE
         tensors, metadata = load_checkpoint(path)
         self.start_message = f"the checkpoint in {folder}"
-        if not require_configuration(metadata, self.configuration, path):
-            self.start_message += ", of an older PhysHDR: it does not say which configuration it is of"
+        require_configuration(metadata, self.configuration, path)
         progress = progress_of(metadata, self.config.iterations, path)
         lights = lights_of(metadata, path)
         if lights != self.lights:
@@ -506,14 +506,14 @@ class Trainer:
                 "response is learned of a camera's, and known of radiance and of developed raw files",
                 "Give the data set that it was begun with.",
             )
-        # Checkpoints of before pictures told the bounds state none, whatever their pictures are.
-        if RANGE in metadata and not np.allclose(log_radiance_range_in(metadata, path), self.range):
+        if not np.allclose(log_radiance_range_in(metadata, path), self.range):
             raise DataMismatchError(
                 f"the run in {folder} was begun with other pictures than those in {self.scene.root}: these "
                 "ask for other bounds of radiance than it learned within",
                 "Give the data set that it was begun with, as it was then.",
             )
         restore_method(self.method, tensors, path)
+        self.views_digest = metadata[VIEWS]
         self.iteration = progress.iteration
         self.seconds, self.cpu_seconds = progress.seconds, progress.cpu_seconds
         return tensors
@@ -523,10 +523,10 @@ class Trainer:
         moments = {k: v for k, v in tensors.items() if k.startswith(ADAM)}
         check_tensors(moments, self.optimiser.state_like(moments), path)
         refuse_others(moments, self.optimiser.state_like(moments), path)
-        # Checkpoints of earlier versions hold more statistics.
         counted = {f"{STATISTICS}{name}": like for name, like in self.growth.tensors().items()}
-        check_tensors(tensors, counted, path)
-        statistics = {name: tensors[name] for name in counted}
+        statistics = {k: v for k, v in tensors.items() if k.startswith(STATISTICS)}
+        check_tensors(statistics, counted, path)
+        refuse_others(statistics, counted, path)
         for name, tensor in (moments | statistics).items():
             if not name.endswith(".exp_avg") and (tensor < 0).any():
                 raise damaged(path, f"{name} has values below 0")
@@ -566,9 +566,6 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
         wanted |= {
             f"{PRIMITIVES}{name}": torch.empty(count, *shape, device="meta") for name, shape in shapes.items()
         }
-    # Checkpoints of before responses were measured are of models whose response begins as a line.
-    unmeasured = {name: like for name, like in wanted.items() if name.endswith(f".{MEASURED}")}
-    networks = unmeasured | networks
     check_tensors(networks | primitives, wanted, path)
     refuse_others(networks | primitives, wanted, path)
     if splatting is not None:

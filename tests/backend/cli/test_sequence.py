@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr render --camera``: frames along a path, kept, drawn anew, and drawn by several processes."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -18,8 +19,9 @@ from physhdr.backend.cli.sequence import Frame, Opened, WorkerError, draw_at_onc
 from physhdr.backend.runs.run import Run, open_run
 from physhdr.backend.scene import Scene
 from physhdr.backend.scene.pictures import read_exr
+from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
 from physhdr.bridge.errors import BadValueError
-from physhdr.bridge.run_folder import VIEWS_FILE
+from physhdr.bridge.run_folder import CHECKPOINT_FILE, VIEWS_FILE
 from physhdr.bridge.shots import Shot, Shots, write_shots
 
 
@@ -203,6 +205,9 @@ def test_a_space_of_nerfstudio_is_that_of_the_data_sets_poses(run: Path, tmp_pat
     config, views = (json.loads((moved / name).read_text()) for name in ("config.json", VIEWS_FILE))
     (moved / "config.json").write_text(json.dumps(config | {"data": str(tmp_path / "gone")}))
     (moved / VIEWS_FILE).write_text(json.dumps(views | {"layout": "nerfstudio"}))
+    tensors, metadata = load_checkpoint(moved / CHECKPOINT_FILE)
+    digest = hashlib.sha256((moved / VIEWS_FILE).read_bytes()).hexdigest()
+    save_checkpoint(moved / CHECKPOINT_FILE, tensors, metadata | {"views": digest})
     frame = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50.0}
     path, space = tmp_path / "path.json", tmp_path / "dataparser_transforms.json"
     path.write_text(json.dumps({"render_width": 8, "render_height": 6, "camera_path": [frame]}))

@@ -20,6 +20,7 @@ from physhdr.backend.model.anchors import AnchorsConfig
 from physhdr.backend.model.backbone import Start
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.runs.run import open_run
+from physhdr.backend.runs.views import write_views
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.config import read_config, write_config
@@ -268,7 +269,8 @@ def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny
     # Stopped and resumed it is the same, to the bit: the checkpoint holds three channels.
     run.mkdir()
     write_config(run / "config.json", config, tiny_data, preset)
-    stopped = Trainer(read_scene(tiny_data), config)
+    stopped = Trainer(scene := read_scene(tiny_data), config)
+    stopped.views_digest = write_views(run, scene)
     for _ in stopped.run(run, should_stop=lambda: stopped.iteration >= 7):
         pass
     assert main(["train", str(tiny_data), "--resume", str(run)]) == 0

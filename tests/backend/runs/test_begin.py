@@ -18,7 +18,6 @@ from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
 from physhdr.backend.train.events import Saved
 from physhdr.backend.train.trainer import CHECKPOINT_FILE
 from physhdr.bridge.errors import BadValueError, DataMismatchError, OutputError
-from physhdr.bridge.run_folder import VIEWS_FILE
 
 PRESET = TrainConfig(initial_points="random", random_points=150)
 
@@ -125,10 +124,6 @@ def test_nor_with_its_own_where_that_has_become_another(tiny_data, tmp_path, wor
     assert np.array_equal(*poses) and looked_at.scene.root == data
     assert looked_at.seen() is None  # the pictures that are there now are not the ones it was trained on
     assert any("opened by what the run keeps" in str(line) for line in told)
-    # An earlier version's run, which has kept nothing of its data, goes on as it always did.
-    (out / VIEWS_FILE).unlink()
-    with resume_run(out, None, workshop):
-        pass
 
 
 def take_from_elsewhere(data: Path) -> None:

@@ -175,16 +175,6 @@ def test_renders_stay_renders_without_their_data_set(of_renders, tmp_path):
         assert ev == (0.0 if of_renders else -3.0)
 
 
-def test_of_runs_of_before_it_was_kept_photographs_are_told_by_the_data_set(scene, tmp_path):
-    write_views(tmp_path, scene)
-    content = json.loads((tmp_path / VIEWS_FILE).read_text())
-    assert content.pop("photographs") is False and "radiance_scale" not in content
-    (tmp_path / VIEWS_FILE).write_text(json.dumps(content))
-    assert not read_views(tmp_path, tmp_path).photographs  # it names a point of the response
-    (tmp_path / VIEWS_FILE).write_text(json.dumps(content | {"anchor": None}))
-    assert read_views(tmp_path, tmp_path).photographs
-
-
 def nerfstudio_of_radiance(root, radiance):
     """One OpenEXR of each value of ``radiance``, on a line; the layout has no lists of splits."""
     frames = []
@@ -225,10 +215,6 @@ def test_brighter_pictures_that_are_added_leave_the_scale_of_radiance(where, tmp
     assert found.train[0].values(0) == pytest.approx(1.0, abs=1e-4)  # and so are its codes
     assert "radiance is compared at the run's scale, 1: " in told[0] and told[0] in found.messages
     assert len(told) == (1 if where == "test" else 2)
-    content = json.loads((run / VIEWS_FILE).read_text())
-    del content["radiance_scale"]  # as an earlier version left it
-    (run / VIEWS_FILE).write_text(json.dumps(content))
-    assert as_trained(run, now).train[0].encodings == (LogEncoding(300.0),)
 
 
 VALUES = (None, "x", [], {}, -1, 0, 1.5, True, [1e999], "1" * 5000)

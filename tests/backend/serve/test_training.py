@@ -441,9 +441,9 @@ def test_a_failed_training_is_a_state_and_the_backend_lives_on(backend, enter, r
     assert refusal(peer, ModelExport(path=str(tmp_path / "no folder" / "x.safetensors"))).code == "output"
 
     # A state that diverges: the error says so, and the checkpoint stays as it was.
-    tensors, _ = load_checkpoint(run / CHECKPOINT)
+    tensors, metadata = load_checkpoint(run / CHECKPOINT)
     tensors["networks.tone_mapper.b1"].fill_(3e38)
-    save_checkpoint(run / CHECKPOINT, tensors, {"iteration": "10"})
+    save_checkpoint(run / CHECKPOINT, tensors, metadata | {"iteration": "10"})
     before = (run / CHECKPOINT).read_bytes()
     peer.ask(TrainResume(run=str(run)))
     peer.wait_for("preparing", "training")
@@ -488,11 +488,9 @@ def test_a_run_whose_data_have_moved_opens_with_their_new_place(backend, enter, 
     transforms["frames"][0]["transform_matrix"][2][3] += 0.5
     (other / "transforms_train.json").write_text(json.dumps(transforms))
     assert refusal(peer, RunOpen(run=str(tmp_path / "run"), data=str(other))).code == "data_mismatch"
-    # A run of an earlier version has kept nothing to be looked at by.
-    (tmp_path / "run" / VIEWS_FILE).unlink()
+    (tmp_path / "run" / VIEWS_FILE).unlink()  # and it cannot be looked at without
     failure = refusal(peer, RunOpen(run=str(tmp_path / "run")))
-    assert failure.code == "file_missing" and str(tmp_path / "gone") in failure.message
-    assert "Choose the data set where it is now" in failure.hint
+    assert failure.code == "file_missing" and VIEWS_FILE in failure.message and failure.hint
     assert peer.ask(StatusGet()).state == "open" and peer.status.has_model  # what was open stays
 
 

@@ -151,18 +151,6 @@ def test_renders_are_trained_without_and_photographs_with(tiny_data):
     assert Trainer(photographs, short(mode="off")).nuisances is None
 
 
-def test_a_training_that_was_begun_without_goes_on_without(tiny_data, tmp_path):
-    """As those of earlier versions were, whose configuration says nothing of it."""
-    photographs = dataclasses.replace(read_scene(tiny_data), info={}, response_anchor=None)
-    begun = Trainer(photographs, short(mode="off"))
-    begun.step()
-    begun.save(tmp_path)
-    auto = short(mode="auto")
-    resumed = Trainer(photographs, auto, resumed=tmp_path, configuration=begun.configuration)
-    assert resumed.nuisances is None
-    resumed.step()
-
-
 def test_a_checkpoint_that_lacks_a_part_is_refused(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short()
     trainer = Trainer(scene, config)

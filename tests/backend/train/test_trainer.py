@@ -23,7 +23,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import LogEncoding
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
-from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
+from physhdr.backend.train.checkpoint import METADATA, load_checkpoint, read_metadata, save_checkpoint
 from physhdr.backend.train.config import fingerprint, in_iterations, read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
 from physhdr.backend.train.growth import NoGaussiansLeftError
@@ -196,24 +196,58 @@ def test_training_separates_two_lights(two_lights_data, tmp_path):
     assert torch.equal(opened.hdr(camera, (0.5, 2.0)), trainer.method.hdr(camera, (0.5, 2.0)))
 
 
-def test_the_ambient_light_alone_is_kept_as_before_there_were_others(tiny_data, two_lights_data, tmp_path):
-    """Checkpoints of either version are the other's: same names, same shapes."""
-    scene, config = read_scene(tiny_data), short("default", iterations=12)
-    train(scene, config, tmp_path / "one")
-    with safe_open(tmp_path / "one" / CHECKPOINT_FILE, "pt") as file:
-        names = set(file.keys())
-        known = {"format", "version", "iteration", "seconds", "cpu_seconds", "configuration", "digest"}
-        assert set(file.metadata()) == known
-        assert file.get_slice("gaussians.ambient_share_logits").get_shape()[1:] == [3]
-        assert file.get_slice("adam.ambient_share_logits.0.exp_avg").get_shape()[1:] == [3]
-        assert "adam.ambient_share_logits.0.step" in names and not any("light_share" in n for n in names)
-    train(read_scene(two_lights_data), config, tmp_path / "two")
-    with safe_open(tmp_path / "two" / CHECKPOINT_FILE, "pt") as file:
-        assert json.loads(file.metadata()["lights"]) == ["ambient", "pendant"]
-        assert file.get_slice("gaussians.light_share_logits").get_shape()[1:] == [2, 3]
-    for folder, other in (("one", two_lights_data), ("two", tiny_data)):
+def test_a_checkpoint_names_its_lights(tiny_data, two_lights_data, tmp_path):
+    config = short("default", iterations=12)
+    for data, lights in ((tiny_data, ["ambient"]), (two_lights_data, ["ambient", "pendant"])):
+        folder = tmp_path / str(len(lights))
+        train(read_scene(data), config, folder)
+        tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
+        assert json.loads(metadata["lights"]) == lights
+        assert tensors["gaussians.light_share_logits"].shape[1:] == (len(lights), 3)
+    for folder, other in (("1", two_lights_data), ("2", tiny_data)):
         with pytest.raises(DataMismatchError, match=r"has levels of ambient[\s\S]*begun with"):
             Trainer(read_scene(other), config, resumed=tmp_path / folder)
+
+
+def test_metadata_are_part_of_the_digest(tiny_data, tmp_path):
+    """An iteration that is smaller, a name that is there twice: each would be believed."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    path = tmp_path / CHECKPOINT_FILE
+    good = path.read_bytes()
+    _, metadata = load_checkpoint(path)
+    others = {name: value + "0" for name, value in metadata.items()} | {
+        "lights": '["lamp"]',
+        "iteration": "4",
+    }
+    assert others.keys() >= {*METADATA, "digest"}
+    for name, value in others.items():
+        path.write_bytes(good)
+        with safe_open(path, "pt") as file:
+            save_file({key: file.get_tensor(key) for key in file.keys()}, path, metadata | {name: value})  # noqa: SIM118
+        with pytest.raises((FileDamagedError, DataMismatchError), match=CHECKPOINT_FILE):
+            Trainer(scene, config, resumed=tmp_path)
+    path.write_bytes(good)
+    assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+
+
+@pytest.mark.parametrize("at", [b'"iteration":"5"', b'"networks.tone_mapper.b1":{', b'"__metadata__":{'])
+def test_a_name_that_stands_twice_in_a_checkpoint_is_refused(at, tiny_data, tmp_path):
+    """The library takes the last of them, another program the first."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    path = tmp_path / CHECKPOINT_FILE
+    good = path.read_bytes()
+    size = int.from_bytes(good[:8], "little")
+    header = good[8 : 8 + size].rstrip()
+    start = header.index(at)
+    end = header.index(b"}" if at.endswith(b"{") else b'"', start + len(at) - 1) + 1
+    twice = header[:end] + b"," + header[start:end] + header[end:]
+    assert json.loads(twice) == json.loads(header)
+    path.write_bytes(len(twice).to_bytes(8, "little") + twice + good[8 + size :])
+    for read in (load_checkpoint, read_metadata):
+        with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
+            read(path)
 
 
 def test_a_configuration_of_before_there_were_lights_is_read(tmp_path):
@@ -474,13 +508,11 @@ def test_a_damaged_checkpoint_is_refused(tiny_data, tmp_path):
         load_checkpoint(tmp_path / "none.safetensors")
 
 
-def renamed_to(folder, **metadata):
-    """The checkpoint in ``folder`` with other metadata; ``None`` takes one out."""
-    path = folder / CHECKPOINT_FILE
-    with safe_open(path, "pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-        written = file.metadata() | metadata
-    save_file(tensors, path, {name: value for name, value in written.items() if value is not None})
+def rewritten(path, change=lambda tensors: tensors, **metadata):
+    """The checkpoint at ``path`` with other tensors and metadata (None takes one out), and their digest."""
+    tensors, written = load_checkpoint(path)
+    written = {name: value for name, value in (written | metadata).items() if value is not None}
+    save_checkpoint(path, change(tensors), written)
 
 
 def test_a_checkpoint_belongs_to_its_configuration(tiny_data, tmp_path):
@@ -501,30 +533,18 @@ def test_a_checkpoint_belongs_to_its_configuration(tiny_data, tmp_path):
 def test_what_was_read_of_a_checkpoint_is_no_longer_the_file(tmp_path):
     """Windows lets nobody replace a file that is mapped: a resumed training could not have saved."""
     path = tmp_path / CHECKPOINT_FILE
-    save_checkpoint(path, {"a": torch.arange(100_000, dtype=torch.float32)}, {})
+    save_checkpoint(path, {"a": torch.arange(100_000, dtype=torch.float32)}, dict.fromkeys(METADATA, ""))
     tensors, _ = load_checkpoint(path)
     with open(path, "r+b") as file:
         file.write(bytes(path.stat().st_size))
     assert torch.equal(tensors["a"], torch.arange(100_000, dtype=torch.float32))
 
 
-def test_a_checkpoint_of_before_it_named_its_configuration_resumes_with_a_word(tiny_data, tmp_path):
-    scene, config = read_scene(tiny_data), short("default", iterations=12)
-    train(scene, config, tmp_path, stop_at=5)
-    renamed_to(tmp_path, configuration=None)
-    resumed = Trainer(scene, config, resumed=tmp_path)
-    assert resumed.iteration == 5 and "older PhysHDR" in resumed.start_message
-    assert load_method(tmp_path, config, scene.response_anchor)[1] == 5
-
-
 def test_a_checkpoint_belongs_to_the_bounds_of_radiance_of_its_pictures(tiny_data, tmp_path):
-    """Those that state none, and are of before pictures told them, resume whatever their pictures tell."""
     scene, config = read_scene(tiny_data), short("default", iterations=12)
-    train(scene, config, tmp_path, stop_at=5)
     sunny = dataclasses.replace(scene, train=[in_the_sun(view) for view in scene.train])
-    resumed = Trainer(sunny, config, resumed=tmp_path)
-    assert resumed.range == pytest.approx((-12.0, math.log(200.0 * 8000.0)))  # 200 times white in 1/8000 s
-    resumed.save(tmp_path)
+    trainer = train(sunny, config, tmp_path, stop_at=5)
+    assert trainer.range == pytest.approx((-12.0, math.log(200.0 * 8000.0)))  # 200 times white in 1/8000 s
     assert Trainer(sunny, config, resumed=tmp_path).iteration == 5
     with pytest.raises(DataMismatchError, match="bounds of radiance"):
         Trainer(scene, config, resumed=tmp_path)
@@ -582,17 +602,13 @@ def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
     train(scene, config, tmp_path, stop_at=5)
     path = tmp_path / CHECKPOINT_FILE
     good = path.read_bytes()
-    with safe_open(path, "pt") as file:
-        names = list(file.keys())
-        whole = {name: file.get_tensor(name) for name in names}
+    whole, _ = load_checkpoint(path)
+    names = list(whole)
 
     def refused(changes=(), without=(), **metadata):
         path.write_bytes(good)
         tensors = {name: tensor for name, tensor in whole.items() if name not in without} | dict(changes)
-        with safe_open(path, "pt") as file:
-            written = file.metadata() | {"digest": ""} | metadata  # the numbers shall be looked at themselves
-            written = {k: v for k, v in written.items() if v is not None}
-        save_file(tensors, path, written)
+        rewritten(path, lambda _: tensors, **metadata)  # the numbers shall be looked at themselves
         with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
             Trainer(scene, config, resumed=tmp_path)
 
@@ -632,7 +648,7 @@ def test_a_bit_that_tipped_over_is_noticed(tiny_data, tmp_path):
     start = 8 + int.from_bytes(good[:8], "little")
     for at in np.random.default_rng(3).integers(start, len(good), 20):
         path.write_bytes(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
-        with pytest.raises(FileDamagedError, match="not those that were written"):
+        with pytest.raises(FileDamagedError, match="its content is not what was written"):
             load_method(tmp_path, config, scene.response_anchor)
     path.write_bytes(good)
     assert load_method(tmp_path, config, scene.response_anchor)[1] == 5
@@ -734,11 +750,8 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_of_one_moment(tiny_da
 def test_numbers_of_a_type_that_no_run_has_are_refused(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short("default", iterations=12)
     train(scene, config, tmp_path, stop_at=5)
-    with safe_open(tmp_path / CHECKPOINT_FILE, "pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-        metadata = file.metadata()
-    tensors["gaussians.means"] = tensors["gaussians.means"].bfloat16()
-    save_file(tensors, tmp_path / CHECKPOINT_FILE, metadata)
+    means = "gaussians.means"
+    rewritten(tmp_path / CHECKPOINT_FILE, lambda tensors: tensors | {means: tensors[means].bfloat16()})
     with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
         load_method(tmp_path, config, scene.response_anchor)
 
@@ -771,6 +784,6 @@ def test_whatever_is_wrong_with_the_container_is_one_error(damage, tiny_data, tm
 def test_bounds_of_radiance_that_are_none_are_refused(bounds, tiny_data, tmp_path):
     config = short("default", iterations=5)
     train(read_scene(tiny_data), config, tmp_path)
-    renamed_to(tmp_path, log_radiance_range=bounds)
-    with pytest.raises(FileDamagedError, match="range of radiance"):
+    rewritten(tmp_path / CHECKPOINT_FILE, log_radiance_range=bounds)
+    with pytest.raises(FileDamagedError, match="radiance"):
         load_method(tmp_path, config, None)
