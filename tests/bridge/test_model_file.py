@@ -319,6 +319,20 @@ def test_not_ours(path: Path, tmp_path: Path):
         read_model(path)
 
 
+@pytest.mark.parametrize("text", ['"opacity":', '"format":', '"__metadata__":'])
+def test_a_name_that_stands_twice_is_refused(path: Path, text: str):
+    """Python's reader takes the last of them, another program may take the first."""
+    content = path.read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header, data = content[8 : 8 + size].decode(), content[8 + size :]
+    value, _ = json.JSONDecoder().raw_decode(header[(start := header.index(text)) + len(text) :])
+    twice = f"{header[:start]}{text}{json.dumps(value)},{header[start:]}".encode()
+    assert json.loads(twice) == json.loads(header)
+    path.write_bytes(len(twice).to_bytes(8, "little") + twice + data)
+    with pytest.raises(FileDamagedError, match=r"m.*\.safetensors.*stands twice"):
+        read_model(path)
+
+
 def test_newer_version(path: Path):
     rewrite(path, lambda header, data: header["__metadata__"].update(version="2"))
     with pytest.raises(BadValueError, match=r"version '2' of the model file, not 1[\s\S]*update PhysHDR"):

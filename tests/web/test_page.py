@@ -111,10 +111,8 @@ def axes_of(turn: np.ndarray) -> np.ndarray:
 def two_lights(tmp_path_factory) -> tuple[Path, Path]:
     """A small run with two lights, and its page's folder."""
     folder = tmp_path_factory.mktemp("two") / "run"
-    shutil.copytree(EARLIER / "default_two_lights", folder)
     data, out = EARLIER / "data_two_lights", folder.parent / "page"
-    config = json.loads((folder / "config.json").read_text())
-    (folder / "config.json").write_text(json.dumps(config | {"data": str(data)}))
+    assert main(["train", str(data), "--out", str(folder), "--iterations", "12"]) == 0
     assert main(["export", str(folder), "--web", str(out)]) == 0
     return folder, out / "index.html"
 
@@ -122,9 +120,10 @@ def two_lights(tmp_path_factory) -> tuple[Path, Path]:
 def test_what_a_page_cannot_show_is_said(tmp_path, capsys):
     """The paper's preset has local curves and baked levels; anchors are fixed as for every file."""
     for name, remark in (("paper", "global curve alone"), ("default-scaffold", "")):
-        shutil.copytree(EARLIER / name, tmp_path / name)
-        words = ["export", str(tmp_path / name), "--web", str(tmp_path / f"{name}.html"), "--single-file"]
-        assert main([*words, "--data", str(EARLIER / "data")]) == 0
+        run, words = str(tmp_path / name), ["--preset", name, "--iterations", "12"]
+        assert main(["train", str(EARLIER / "data"), "--out", run, *words]) == 0
+        capsys.readouterr()
+        assert main(["export", run, "--web", str(tmp_path / f"{name}.html"), "--single-file"]) == 0
         told = " ".join(capsys.readouterr().out.split())
         assert (remark in told) if remark else ("curve" not in told)
         assert remark in (tmp_path / f"{name}.html").read_text()

@@ -5,7 +5,6 @@ import json
 import math
 import os
 import re
-import shutil
 import struct
 import subprocess
 import sys
@@ -25,7 +24,6 @@ from physhdr.bridge.model_file import Model, read_model, write_model
 from physhdr.bridge.spherical_harmonics import C0, basis, fibonacci_sphere
 from physhdr.bridge.splat_files import SplatCloud, reading
 
-EARLIER = Path(__file__).resolve().parents[2] / "fixtures" / "e7440a3"
 #: Where Blender's X, Y and Z are in a file's axes, by words: right, forward, up.
 AXES = {
     "z": np.eye(3),
@@ -263,12 +261,15 @@ def test_radiance_of_usd_is_exposed_for_a_screen_and_back(model: Path) -> None:
     np.testing.assert_allclose(np.exp(again.log_radiance_sh[:, 0] * C0)[lit], radiance[lit], rtol=1e-3)
 
 
-def test_a_run_is_converted_as_its_model_file(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def run(two_lights_data: Path, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "two_lights"
+    assert main(["train", str(two_lights_data), "--out", str(folder), "--iterations", "12"]) == 0
+    return folder
+
+
+def test_a_run_is_converted_as_its_model_file(run: Path, tmp_path: Path) -> None:
     """Bit for bit what the model file has, where colours are not fitted to its cameras."""
-    run = tmp_path / "run"
-    shutil.copytree(EARLIER / "default_two_lights", run)
-    config = json.loads((run / "config.json").read_text())
-    (run / "config.json").write_text(json.dumps(config | {"data": str(EARLIER / "data_two_lights")}))
     convert(run, tmp_path / "m.safetensors")
     convert(run, tmp_path / "a.ply", "--lighting-level", 2, "--quick")
     convert(tmp_path / "m.safetensors", tmp_path / "b.ply", "--lighting-level", 2)
@@ -277,20 +278,14 @@ def test_a_run_is_converted_as_its_model_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.position, other.position)
 
 
-def test_a_program_reads_nothing_but_json(tmp_path: Path, capsys, monkeypatch) -> None:
+def test_a_program_reads_nothing_but_json(run: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     def noticing(*words, report, **options) -> opening.Run:
         report("something was noticed")
         return open_run(*words, report=report, **options)
 
     open_run = opening.open_run
     monkeypatch.setattr(opening, "open_run", noticing)
-    words = [
-        EARLIER / "default_two_lights",
-        tmp_path / "a.ply",
-        "--data",
-        EARLIER / "data_two_lights",
-        "--quick",
-    ]
+    words = [run, tmp_path / "a.ply", "--quick"]
     convert(*words, "--json")
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[-1]["result"]["out"] == str(tmp_path / "a.ply")
