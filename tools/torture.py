@@ -28,7 +28,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from torture_attacks import full_disk, kill_commands, kill_training, soak, two_at_once
+from torture_attacks import full_disk, kill_commands, kill_training, soak, stranger, two_at_once
 from torture_attacks.bench import (
     Bench,
     Options,
@@ -83,6 +83,7 @@ ATTACKS: dict[str, Attack] = {
     "two-benchmarks": Attack("two benchmarks on one folder", two_at_once.two_benchmarks, True),
     "two-servers": Attack("two backends on one home", two_at_once.two_servers),
     "two-exports": Attack("two exports to one folder", two_at_once.two_exports),
+    "stranger": Attack("a .blend that names everything that can be named, opened", stranger.open_stranger),
     "soak": Attack("previews, connections and trainings by one backend for long", soak.soak, True),
 }
 

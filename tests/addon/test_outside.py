@@ -14,16 +14,14 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from torture_attacks.stranger_inside import (  # noqa: E402
-    COMPUTER,
-    NETWORK,
+    append_scenes,
     draw_all,
     live,
     make,
     name_everything,
     pass_time,
-    places,
-    watched,
 )
+from torture_attacks.watch import COMPUTER, NETWORK, places, watched  # noqa: E402
 
 from physhdr.addon import outside, runtime, settings  # noqa: E402
 from physhdr.addon.model import origin  # noqa: E402
@@ -133,8 +131,7 @@ def test_an_appended_scene_is_a_strangers(stranger, tmp_path):
     """Whatever was agreed to of the open file."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.scene.physhdr.data = str(tmp_path / "mine")
-    with bpy.data.libraries.load(str(tmp_path / "stranger.blend"), link=True) as (there, here):
-        here.scenes = list(there.scenes)
+    append_scenes(tmp_path / "stranger.blend", link=True)
     with watched(*places(stranger)) as found:
         pass_time()
     assert found == []

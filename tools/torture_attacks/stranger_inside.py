@@ -11,8 +11,7 @@ The second prints a line for each look at such a place, and for each process tha
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,99 +31,36 @@ from physhdr.addon.settings import respelling
 from physhdr.bridge.messages import JobStatus
 from physhdr.bridge.probe import Probe
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from torture_attacks.watch import BEGIN, LIVED, NETWORK, places, watched
+
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = ROOT / "tests" / "fixtures" / "e7440a3" / "default" / "model.safetensors"
-#: A computer that nobody has, as Windows names it.
-COMPUTER = "nobodys-computer"
-NETWORK = f"\\\\{COMPUTER}\\share"
-#: Asked for as the file is about to be opened: who follows the system's calls begins here.
-BEGIN = "/physhdr-begins"
-LIVED = "LIVED"
-#: What Python's audit hooks tell, and what they do not.
-OPENED = ("open", "os.listdir", "os.scandir", "os.mkdir", "os.remove", "os.rename", "shutil.copyfile")
-STARTED = (
-    "subprocess.Popen",
-    "os.exec",
-    "os.posix_spawn",
-    "os.spawn",
-    "os.system",
-    "os.startfile",
-    "os.fork",
-)
-ASKED = ("stat", "lstat", "access", "readlink")
-
-_listeners: list[Callable[[str, object], None]] = []
-
-
-# ---- what is seen ------------------------------------------------------------------------------------------
-
-
-def _audited(event: str, arguments: tuple[Any, ...]) -> None:
-    if _listeners and event in OPENED + STARTED:
-        _listeners[-1](event, arguments[0] if arguments else "")
-
-
-@contextmanager
-def watched(*places: str) -> Iterator[list[str]]:
-    """Within it, each look at a path with one of ``places`` in it is listed, and each start of a process."""
-    found: list[str] = []
-
-    def tell(what: str, path: object) -> None:
-        named = os.fsdecode(path) if isinstance(path, str | bytes | os.PathLike) else str(path)
-        if what in STARTED or any(place in named for place in places):
-            found.append(f"{what} {named}")
-
-    def telling(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def told(path: Any, *arguments: Any, **more: Any) -> Any:
-            tell(f"os.{name}", path)
-            return call(path, *arguments, **more)
-
-        return told
-
-    if not hasattr(sys, "physhdr_audited"):  # a hook stays for good
-        sys.addaudithook(_audited)
-        setattr(sys, "physhdr_audited", True)  # noqa: B010
-    before = {name: getattr(os, name) for name in ASKED}
-    _listeners.append(tell)
-    try:
-        for name, call in before.items():
-            setattr(os, name, telling(name, call))
-        yield found
-    finally:
-        for name, call in before.items():
-            setattr(os, name, call)
-        _listeners.remove(tell)
-
-
 # ---- the file ----------------------------------------------------------------------------------------------
-
-
-def places(elsewhere: Path) -> tuple[str, ...]:
-    """What is in each path that the file leads to, those included that are proposed for its data sets."""
-    return str(elsewhere), COMPUTER, "data_run"
 
 
 def make(file: Path, elsewhere: Path) -> None:
     """A .blend whose scenes name places in a folder, in a network and beside it; one leaves its run open."""
     homes = {"Folder": f"{elsewhere}/", "Network": f"{NETWORK}\\", "Beside": f"//{elsewhere.name}/"}
+    first = list(bpy.data.scenes)
     for name, home in (homes | {"Proposed": homes["Folder"]}).items():
-        scene = bpy.data.scenes.new(name)
+        scene: Any = bpy.data.scenes.new(name)
         bpy.context.window.scene = scene
         name_everything(scene, home)
-    with respelling():
-        scene.physhdr.out = ""
-    for scene in [each for each in bpy.data.scenes if not each.physhdr.data]:
-        bpy.data.scenes.remove(scene)
+        if name == "Proposed":
+            with respelling():
+                scene.physhdr.out = ""
+    bpy.data.batch_remove(first)
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
 
 
-def name_everything(scene: bpy.types.Scene, home: str) -> None:
+def name_everything(scene: Any, home: str) -> None:
     """Let a scene name what lies in ``home``, a text: data set, run, photos, models, captures, pictures."""
     scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(scene.camera)
-    groups: tuple[Any, ...] = scene.physhdr, scene.physhdr_dataset
     with respelling():  # as a file has it: nobody has chosen it
-        for group in groups:
+        for group in (scene.physhdr, scene.physhdr_dataset):
             for name in path_properties(group):
                 setattr(group, name, f"{home}{name}")
     scene.physhdr.preview, scene.physhdr_dataset.response = True, "file"
@@ -171,9 +107,15 @@ def live(file: Path) -> None:
     bpy.ops.wm.revert_mainfile()
     pass_time()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    with bpy.data.libraries.load(str(file), link=False) as (there, here):
-        here.scenes = list(there.scenes)
+    append_scenes(file, link=False)
     pass_time()
+
+
+def append_scenes(file: Path, *, link: bool) -> None:
+    """Append all scenes of a file, or link them."""
+    loading: Any = bpy.data.libraries.load(str(file), link=link)
+    with loading as (there, here):
+        here.scenes = list(there.scenes)
 
 
 def pass_time() -> None:
@@ -211,8 +153,9 @@ def draw_all() -> None:
                 for name, method in inspect.getmembers(panel, inspect.isfunction):
                     setattr(drawn, name, method.__get__(drawn))
                 panel.draw(drawn, bpy.context)
-        for name in dir(bpy.ops.physhdr):
-            getattr(bpy.ops.physhdr, name).poll()
+        operators: Any = getattr(bpy.ops, "physhdr")  # noqa: B009
+        for name in dir(operators):
+            getattr(operators, name).poll()
         layout: Any = Anything()
         dataset_dialog.draw(bpy.context, layout)
 

@@ -120,6 +120,35 @@ def test_a_kill_that_costs_too_much():
     assert too_dear(kills, 60.0) == ["a kill (random) cost 61.0 s"]
 
 
+def test_what_a_strangers_file_makes_happen_is_told_from_what_blender_does(tmp_path):
+    """Lines of strace, and of the script that lives with the file in Blender."""
+    from torture_attacks.stranger import said_to_have_happened, traced
+    from torture_attacks.watch import BEGIN, LIVED, NETWORK, places, watched
+
+    before = [
+        '7 execve("/usr/bin/python", ["python"], 0x1 /* 9 vars */) = 0',
+        '7 stat("/elsewhere/x", 0x1) = 0',
+    ]
+    begins = f'7 newfstatat(AT_FDCWD, "{BEGIN}", 0x1, 0) = -1 ENOENT'
+    named = places(Path("/elsewhere"))
+    own = ['7 openat(AT_FDCWD, "/work/file.blend", O_RDONLY) = 3', "7 --- SIGCHLD {si_signo=SIGCHLD} ---"]
+    assert traced([*before, begins, *own], named) == []
+    in_network = NETWORK.replace("\\", "\\\\")
+    for line in (
+        '8 execve("/usr/bin/python", ["python", "launch.py"], 0x1) = 0',
+        '7 newfstatat(AT_FDCWD, "/elsewhere/data", 0x1, 0) = -1 ENOENT',
+        f'7 lstat("/work/{in_network}\\data", 0x1) = -1 ENOENT',
+    ):
+        assert traced([*before, begins, *own, line], named) == [line]
+    assert traced(before, named) == ["strace did not see the beginning"]
+
+    assert said_to_have_happened(f"Read blend: file.blend\n{LIVED}\n") == []
+    with watched(str(tmp_path)) as found:
+        (tmp_path / "x").exists()
+    assert said_to_have_happened(f"{found[0]}\n{LIVED}\n") == [f"os.stat {tmp_path / 'x'}"]
+    assert "did not come to its end: Segmentation fault" in said_to_have_happened("Segmentation fault")[0]
+
+
 # ---- programs that are killed ----------------------------------------------------------------------------
 
 PYTHON = [sys.executable, "-I", "-S", "-c"]
