@@ -7,13 +7,17 @@ import hmac
 import http
 import json
 import logging
+import select
+import socket
 import time
+from collections.abc import Callable
 from typing import Any, cast
 
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response as HttpResponse
 
+from ...bridge.connection import HOST
 from ...bridge.messages import PROTOCOL_VERSION, Failure, Hello, ProtocolError, decode
 from .failures import failure_of
 from .frames import POLICY, PROTOCOL, RefusedError, error_text, object_in
@@ -22,35 +26,99 @@ log = logging.getLogger(__name__)
 
 HELLO_SECONDS = 5.0
 CLIENTS_MAX = 16
-#: So many connections may be there that have not said hello; with the next one the oldest of them is dropped.
-#: Every user of the machine can make some, and each is an open file of this process, which needs others.
-STRANGERS_MAX = 64
+#: So many connections may be there of those who have shown no token; with the next one the oldest of them is
+#: dropped. Every user of the machine can make some, and each is an open file of this process, which needs
+#: others.
+STRANGERS_MAX = 128
+#: Connections that the system keeps until they are taken in; further ones have to try again after a second.
+BACKLOG = 1024
+#: Lines of a request's first bytes in which the token is looked for.
+LINES_MAX = 32
 #: Refusals are logged once in so many seconds, with their number: nobody shall fill the disk by knocking.
 REFUSALS_SECONDS = 10.0
 
 
-class Door(ServerConnection):
-    """A connection that counts among ``strangers``, the oldest first, until it has said hello."""
+#: Connections of which nobody has shown yet that it has the token, the oldest first.
+Strangers = dict[asyncio.Transport, None]
 
-    def __init__(self, strangers: "dict[Door, None]", *arguments: Any, **options: Any) -> None:
+
+class Connection(ServerConnection):
+    """A connection that has sent something; no stranger any more once it is ``admitted``."""
+
+    def __init__(self, strangers: Strangers, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._strangers = strangers
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self._strangers[self] = None
-        if len(self._strangers) > STRANGERS_MAX:
-            oldest = next(iter(self._strangers))
-            oldest.admitted()
-            oldest.transport.abort()
+    def admitted(self) -> None:
+        self._strangers.pop(self.transport, None)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.admitted()
         super().connection_lost(exc)
 
-    def admitted(self) -> None:
-        """It is no stranger any more."""
-        self._strangers.pop(self, None)
+
+def listening_socket() -> socket.socket:
+    """The socket that clients connect to; raises ``OSError``.
+
+    Linux keeps those who say nothing to itself: a storm of them costs this process nothing.
+    """
+    listening = socket.create_server((HOST, 0), backlog=BACKLOG)
+    if hasattr(socket, "TCP_DEFER_ACCEPT"):
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, int(HELLO_SECONDS))
+    return listening
+
+
+class SilentConnection(asyncio.Protocol):
+    """A connection that has sent nothing yet. With its first bytes it becomes what ``speaks`` makes.
+
+    That costs several times as much, and a storm of strangers says nothing. Whose first bytes ``has_token``
+    is no stranger; whoever has not sent any makes room for the next, the oldest first.
+    """
+
+    def __init__(
+        self, strangers: Strangers, has_token: Callable[[bytes], bool], speaks: Callable[[], Connection]
+    ) -> None:
+        self._strangers, self._has_token, self._speaks = strangers, has_token, speaks
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport = cast(asyncio.Transport, transport)
+        self._strangers[transport] = None
+        self._timeout = asyncio.get_running_loop().call_later(HELLO_SECONDS, transport.abort)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Drop the oldest stranger where there are too many, of those of whom nothing is there to be read."""
+        if len(self._strangers) > STRANGERS_MAX:
+            heard = (each for each in self._strangers if not _is_readable(each))
+            crowded = len(self._strangers) > 2 * STRANGERS_MAX
+            oldest = next(iter(self._strangers)) if crowded else next(heard, None)
+            if oldest is not None:
+                del self._strangers[oldest]
+                oldest.abort()
+
+    def data_received(self, data: bytes) -> None:
+        self._timeout.cancel()
+        if self._has_token(data):
+            self._strangers.pop(self._transport, None)
+        else:
+            self._make_room()
+        connection = self._speaks()
+        connection.connection_made(self._transport)
+        self._transport.set_protocol(connection)
+        connection.data_received(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._timeout.cancel()
+        self._strangers.pop(self._transport, None)
+
+
+def _is_readable(transport: asyncio.Transport) -> bool:
+    descriptor = transport.get_extra_info("socket").fileno()
+    if not hasattr(select, "poll"):  # Windows, whose select knows sockets of any number
+        return bool(select.select([descriptor], [], [], 0)[0])
+    asked = select.poll()
+    asked.register(descriptor, select.POLLIN)
+    return bool(asked.poll(0))
 
 
 class Admission:
@@ -59,13 +127,23 @@ class Admission:
     def __init__(self, token: str, version: str) -> None:
         self._authorization = f"Bearer {token}".encode()
         self._version = version
-        self._strangers: dict[Door, None] = {}
+        self._strangers: Strangers = {}
         self._refusals, self._next_refusals = 0, 0.0  # not told yet, and when they may be
 
-    @property
-    def door(self) -> type[ServerConnection]:
-        """What makes a connection, for the library: one that is a stranger until ``admitted``."""
-        return cast(type[ServerConnection], functools.partial(Door, self._strangers))
+    def connection(self, *arguments: Any, **options: Any) -> asyncio.Protocol:
+        """What the library makes of a socket, of its arguments for a ``ServerConnection``."""
+        speaks = functools.partial(Connection, self._strangers, *arguments, **options)
+        return SilentConnection(self._strangers, self._has_token, speaks)
+
+    def turn_away(self) -> None:
+        """End the connections of strangers."""
+        for transport in list(self._strangers):
+            transport.abort()
+
+    def _has_token(self, data: bytes) -> bool:
+        """Whether it is in one of the first lines of a request, in whichever header."""
+        values = (line.partition(b":")[2].strip() for line in data.split(b"\r\n", LINES_MAX)[:LINES_MAX])
+        return any(hmac.compare_digest(value, self._authorization) for value in values)
 
     def refusal(
         self, connection: ServerConnection, request: HttpRequest, clients: int

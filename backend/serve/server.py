@@ -44,7 +44,7 @@ from ...bridge.messages import (
     decode,
     type_name,
 )
-from .admission import HELLO_SECONDS, Admission, Door
+from .admission import HELLO_SECONDS, Admission, Connection, listening_socket
 from .client import OUTSTANDING_MAX, WRONG_FRAMES_MAX, Client
 from .control import Control
 from .failures import failure_of
@@ -150,8 +150,6 @@ class Server:
         self._ended = asyncio.Event()
         server = await serve(
             self._handle,
-            HOST,
-            0,
             process_request=lambda connection, request: self._admission.refusal(
                 connection, request, len(self._clients)
             ),
@@ -163,7 +161,8 @@ class Server:
             close_timeout=CLOSE_SECONDS,
             server_header=None,
             logger=_library_log,
-            create_connection=self._admission.door,
+            create_connection=cast(type[ServerConnection], self._admission.connection),
+            sock=listening_socket(),
         )
         watch = asyncio.create_task(self._watch_idleness())
         self._port.set_result(next(iter(server.sockets)).getsockname()[1])
@@ -179,6 +178,7 @@ class Server:
         closing = [close(client.socket, *self._closing) for client in self._clients.values()]
         await asyncio.gather(*closing, return_exceptions=True)
         server.close()
+        self._admission.turn_away()
         with suppress(TimeoutError):
             async with asyncio.timeout(2 * CLOSE_SECONDS):
                 await server.wait_closed()
@@ -201,7 +201,7 @@ class Server:
         client = None
         try:
             hello, number = await self._admission.hello_of(socket)
-            cast(Door, socket).admitted()
+            cast(Connection, socket).admitted()
             client = self._enter(socket, hello, number)
             tasks = [asyncio.create_task(self._write(client)), asyncio.create_task(drop_if_stalled(socket))]
             try:

@@ -3,7 +3,10 @@
 
 import json
 import socket
+import subprocess
+import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.uri import parse_uri
 
 from physhdr.backend.cli.serve import PRESET_NAMES
+from physhdr.backend.serve.admission import STRANGERS_MAX
 from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.messages import (
     PROTOCOL_VERSION,
@@ -131,7 +135,8 @@ def test_what_is_no_websocket_at_all_is_dropped(backend, enter):
     assert enter(backend).welcome.pid == backend.process.pid
 
 
-def test_a_crowd_of_strangers_is_kept_small(start, enter):
+@pytest.mark.parametrize("says", [b"", b"GET / HTTP/1.1\r\n"])
+def test_a_crowd_of_strangers_is_kept_small(start, enter, says):
     """Connections that anybody on the machine can make use up neither the open files nor the log."""
     backend = start()
     peer = enter(backend)
@@ -140,9 +145,11 @@ def test_a_crowd_of_strangers_is_kept_small(start, enter):
     before, crowd = len(list(files.iterdir())), []
     for _ in range(300):
         crowd.append(socket.create_connection(("127.0.0.1", backend.connection.port), timeout=10))
+        with suppress(OSError):  # it has been dropped already
+            crowd[-1].sendall(says)
     assert peer.ask(StatusGet()).in_control
     deadline = time.monotonic() + 2.5  # well before the first of them is given up for saying nothing
-    while len(list(files.iterdir())) - before > 70:
+    while len(list(files.iterdir())) - before > STRANGERS_MAX + 6:
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert enter(backend).welcome.pid == backend.process.pid  # whoever has the token comes through the crowd
@@ -153,6 +160,37 @@ def test_a_crowd_of_strangers_is_kept_small(start, enter):
             enter(backend, token="0" * 64)
     assert backend.log.read_text().count("refused") == 1
     assert peer.ask(StatusGet()).in_control
+
+
+#: Connects to a port 4,000 times a second and says nothing.
+STORM = """
+import socket, sys, time
+kept, begun = [], time.monotonic()
+for number in range(30 * 4000):
+    while number > (time.monotonic() - begun) * 4000:
+        time.sleep(0.001)
+    each = socket.socket()
+    each.setblocking(False)
+    each.connect_ex(("127.0.0.1", int(sys.argv[1])))
+    kept.append(each)
+    if len(kept) > 400:
+        kept.pop(0).close()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others take in who says nothing, and may be too slow")
+def test_in_a_storm_of_strangers_every_client_is_let_in(start, enter):
+    backend = start()
+    enter(backend).wait_for("idle")
+    storm = subprocess.Popen([sys.executable, "-c", STORM, str(backend.connection.port)])
+    try:
+        time.sleep(0.5)
+        for _ in range(12):
+            assert enter(backend).ask(StatusGet()).state == "idle"
+        assert storm.poll() is None  # it went on until now
+    finally:
+        storm.kill()
+        storm.wait()
 
 
 def test_values_out_of_range_are_refused_with_a_reason(backend, enter, refusal, tmp_path):
