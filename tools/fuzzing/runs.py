@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run's folder: its configuration and its checkpoint, as they are opened, and as a training goes on."""
+"""A run's folder: its configuration, its checkpoint and its views, as they are opened and trained on."""
 
 import dataclasses
 import functools
+import hashlib
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ from .mutate import once, tests_module
 #: A few iterations of every kind of method and backbone; of each what it has in its checkpoint differs.
 PRESETS = ("default", "default-scaffold", "paper-short", "hdr-nerf-small")
 ITERATIONS = 3
+#: Digests of the files of a run and its data set, as they were written.
+WHOLE = "whole.json"
 #: Data that the runs were trained on: beside them, and not itself a thing that is changed.
 DATA = "data-of-the-runs"
 
@@ -36,6 +40,7 @@ def _data(seeds: Path) -> Path:
 
 
 def write_runs(folder: Path) -> None:
+    from physhdr.backend.runs.views import write_views
     from physhdr.backend.train.config import CONFIG_FILE, write_config
     from physhdr.backend.train.presets import PRESETS as ALL
     from physhdr.backend.train.trainer import Trainer
@@ -49,6 +54,7 @@ def write_runs(folder: Path) -> None:
             config = _small_networks(config)
         write_config(run / CONFIG_FILE, config, data, preset)
         trainer = Trainer(_scene(data), config, "reference")
+        trainer.views_digest = write_views(run, trainer.scene)
         for _ in trainer.run(run, should_stop=lambda trainer=trainer: trainer.iteration >= ITERATIONS - 1):
             pass
 
@@ -107,17 +113,71 @@ def resume(folder: Path, file: str, _: bytes) -> None:
         path.write_bytes(before)
 
 
+def write_run_and_data(folder: Path) -> None:
+    """A run of one preset, and beside it the data set that it was trained on, with masks."""
+    from physhdr.backend.runs.begin import start_run
+    from physhdr.backend.train.config import TrainConfig
+
+    home = folder / "photographs"
+    layouts = tests_module("backend/scene/layouts.py")
+    layouts.write_nerfstudio(home / "data", masks=True, exposure_time=0.5)
+    config = TrainConfig(iterations=ITERATIONS, initial_points="random", random_points=50)
+    words: dict[str, Any] = {"typed": ["iterations"], "overwrite": False, "workshop": _workshop([])}
+    with start_run(home / "data", home / "run", config, "default", **words) as (trainer, run):
+        for _ in trainer.run(run.folder, should_stop=lambda: trainer.iteration >= ITERATIONS - 1):
+            pass
+    digests = {str(path.relative_to(home)): _digest(path) for path in home.rglob("*") if path.is_file()}
+    (home / WHOLE).write_text(json.dumps(digests))
+
+
+def _digest(path: Path) -> str:
+    """Of a file; of a checkpoint its own, however its header is spaced."""
+    from physhdr.backend.train.checkpoint import DIGEST, read_metadata
+
+    if path.name == CHECKPOINT[0] and (metadata := read_metadata(path)):
+        return metadata[DIGEST]
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _workshop(told: list[Any]) -> Any:
+    from physhdr.backend.runs.begin import Workshop
+
+    return Workshop(
+        report=told.append,
+        expect=told.append,
+        compile_kernels=lambda needs: None,
+        device="cpu",
+        rasteriser="reference",
+    )
+
+
+def exchange(folder: Path, file: str, _: bytes) -> None:
+    """As a training resumes with another file in the place of one that it has seen: never silently."""
+    from physhdr.backend.runs.begin import resume_run
+
+    told: list[Any] = []
+    with resume_run(folder / "run", folder / "data", _workshop(told)):
+        pass
+    same = _digest(folder / file) == json.loads((folder / WHOLE).read_text())[file]
+    # Held out pictures may be others, or be gone: then the split is not found as it was.
+    told = [str(line) for line in told]
+    reported = any("held-out pictures" in line or "divides them otherwise" in line for line in told)
+    _require(same or reported, "another file than it was trained with")
+
+
 def _require(right: bool, what: str) -> None:
     if not right:
         raise InsaneError(f"accepted though wrong is {what}")
 
 
 CHECKPOINT, CONFIG = ("checkpoint.safetensors",), ("config.json",)
+SEEN = ("data/images/*", "data/masks/*", "run/views.json", "run/checkpoint.safetensors")
 
 TARGETS = (
     Target("checkpoint: bytes", write_runs, load, 2500, chosen=CHECKPOINT),
     Target("checkpoint: open", write_runs, open_, 1200, chosen=CHECKPOINT, patience=40.0),
     Target("checkpoint: resume", write_runs, resume, 800, chosen=CHECKPOINT, patience=40.0),
+    Target("run: files exchanged", write_run_and_data, exchange, 800, chosen=SEEN, patience=40.0),
     Target("config.json: open", write_runs, open_, 1000, chosen=CONFIG, patience=40.0),
     Target("config.json: resume", write_runs, resume, 700, chosen=CONFIG, patience=40.0),
 )

@@ -35,15 +35,7 @@ def begun(tmp_path_factory) -> Path:
     spec = importlib.util.spec_from_file_location("layouts", place)
     layouts = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(layouts)
-    layouts.write_nerfstudio(home / "data", exposure_time=0.5, k1=0.02)
-    content = json.loads((home / "data" / "transforms.json").read_text())
-    for frame in content["frames"]:
-        picture = Path(frame["file_path"])
-        frame["mask_path"] = f"masks/{picture.name}"
-        (home / "data" / "masks").mkdir(exist_ok=True)
-        white = np.full((layouts.HEIGHT, layouts.WIDTH), 255, np.uint8)
-        Image.fromarray(white).save(home / "data" / frame["mask_path"])
-    (home / "data" / "transforms.json").write_text(json.dumps(content))
+    layouts.write_nerfstudio(home / "data", masks=True, exposure_time=0.5, k1=0.02)
     words = {"typed": ["iterations"], "overwrite": False, "workshop": workshop()}
     with start_run(home / "data", home / "run", CONFIG, "default", **words) as (trainer, run):
         for _ in trainer.run(run.folder, should_stop=lambda: trainer.iteration >= 3):

@@ -300,13 +300,19 @@ def write_colmap(
     return root
 
 
-def write_nerfstudio(root: Path, poses: int = 9, **top) -> Path:
-    """nerfstudio's ``transforms.json`` with the intrinsics at its top; ``top``: further entries there."""
+def write_nerfstudio(root: Path, poses: int = 9, masks: bool = False, **top) -> Path:
+    """nerfstudio's ``transforms.json`` with the intrinsics at its top; ``top``: further entries there.
+
+    ``masks``: each picture has one, all white.
+    """
     frames = []
     for index in range(poses):
         save(root / "images" / f"frame_{index:05d}.png", draw(index, 0))
         pose = camera_to_world_opengl(index).tolist()
         frames.append({"file_path": f"images/frame_{index:05d}.png", "transform_matrix": pose})
+        if masks:
+            frames[-1]["mask_path"] = f"masks/frame_{index:05d}.png"
+            save(root / frames[-1]["mask_path"], np.full((HEIGHT, WIDTH), 255, np.uint8))
     content = {"camera_model": "OPENCV", "w": WIDTH, "h": HEIGHT}
     content |= {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY}
     content |= {"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "frames": frames[::-1]} | top
