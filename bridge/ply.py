@@ -9,6 +9,7 @@ import io
 import mmap
 import re
 import struct
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,25 +145,29 @@ def _binary(file: IO[bytes], at: int, order: str, elements: list[_Element]) -> d
 
 def _without_lists(mapped: mmap.mmap, at: int, order: str, element: _Element) -> tuple[bytes, int]:
     """The rows of an element without its lists, and where it ends."""
-    steps, numbers = [], 0
+    steps, width, widths = [], 0, []
     for each in element.properties:
         if isinstance(each, plyfile.PlyListProperty):
             length, value = map(np.dtype, each.list_dtype(order))
-            steps.append((numbers, struct.Struct(order + length.char), value.itemsize))
-            numbers = 0
+            # Without a sign: a length below zero is one beyond the end.
+            unpack = struct.Struct(order + length.char.upper()).unpack_from
+            steps.append((width, unpack, width + length.itemsize, value.itemsize))
+            widths.append(width)
+            width = 0
         else:
-            numbers += np.dtype(each.dtype(order)).itemsize
-    kept = bytearray()
+            width += np.dtype(each.dtype(order)).itemsize
+    places = array("q")
     for _ in range(element.count):
-        for before, length, size in steps:
-            kept += mapped[at : at + before]
-            (count,) = length.unpack_from(mapped, at + before)  # raises beyond the end
-            if count < 0:
-                raise ValueError(f"a list of its {element.name} has a length of {count}")
-            at += before + length.size + int(count) * size
-        kept += mapped[at : at + numbers]
-        at += numbers
-    return bytes(kept), at
+        for before, unpack, with_length, size in steps:
+            places.append(at)
+            at += with_length + unpack(mapped, at + before)[0] * size  # raises beyond the end
+        places.append(at)
+        at += width
+    if at > len(mapped):
+        raise ValueError(f"it claims {element.count} rows of {element.name} in {len(mapped)} bytes")
+    raw, starts = np.frombuffer(mapped, np.uint8), np.array(places).reshape(-1, len(steps) + 1)
+    parts = [raw[starts[:, k, None] + np.arange(each)] for k, each in enumerate((*widths, width))]
+    return np.concatenate(parts, axis=1).tobytes(), at
 
 
 def _text(file: IO[str], elements: list[_Element]) -> dict[str, np.ndarray]:

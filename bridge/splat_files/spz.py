@@ -70,7 +70,7 @@ _LARGEST_WORD = (1 << 9) - 1
 #: A file unpacks to this many bytes, or this many times its own; real ones to 2 to 20 times. What claims more
 #: is a bomb.
 ALWAYS_UNPACKED, LARGEST_RATIO = 1 << 26, 50
-#: Bytes that may follow the blocks of versions 1 to 3: records of other makers.
+#: Bytes that may follow the blocks of versions 1 to 3, or stand before those of 4: records of other makers.
 _LARGEST_TAIL = 1 << 20
 #: Of 1 to 22: a million Gaussians take seconds.
 _ZSTD_LEVEL = 12
@@ -169,7 +169,7 @@ def _read_streams(path: Path, file: BinaryIO, start: bytes) -> SplatCloud:
     size = path.stat().st_size
     _check_size(path, facts, size)
     wanted = [each for each in facts.sizes if each]
-    if stream_count != len(wanted) or not HEADER_4.size <= table <= size:
+    if stream_count != len(wanted) or not HEADER_4.size <= table <= min(size, _LARGEST_TAIL):
         raise FileDamagedError(f"{path}: an SPZ of {stream_count} streams, not {len(wanted)}", _REMEDY)
     up = _named_up(path, file.read(table)[HEADER_4.size :] if front[-1] & _EXTENDED else b"")
     file.seek(table)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .cases import Case, Form, Target
+from .stretch import stretched
 
 _TESTS = Path(__file__).resolve().parents[2] / "tests"
 
@@ -49,6 +50,8 @@ damage = tests_module("fuzzing.py")
 #: Shares of cases in which there is no file, or something else than a file.
 ODD_FORMS: tuple[Form, ...] = ("gone", "folder", "fifo", "loop")
 ODD_SHARE = 0.02
+#: One case in so many is megabytes long, the eleventh first: one at least of each row, even in short.
+STRETCHED_EVERY = 50
 #: Of a file's name: formats of text in which words may be exchanged.
 TEXTS = (".txt", ".toml", ".ply", ".jsonl", ".csv", ".usda")
 #: Words in place of a word of a text.
@@ -69,7 +72,8 @@ def make_case(target: Target, seeds: dict[str, dict[str, bytes]], seed: int, num
     if not target.in_memory and generator.random() < ODD_SHARE:
         return Case(variant, file, generator.choice(ODD_FORMS))
     whole = seeds[variant][file]
-    return Case(variant, file, "bytes", damaged(whole, Path(file).suffix, generator))
+    change = stretched if number % STRETCHED_EVERY == 10 else damaged
+    return Case(variant, file, "bytes", change(whole, Path(file).suffix, generator))
 
 
 def _file(target: Target, files: list[str], generator: random.Random) -> str:

@@ -28,6 +28,9 @@ from .mutate import make_case, once
 #: more than that.
 GROWTH_MAX = 640 << 20
 ADDRESS_SPACE_MAX = 8 << 30
+#: Seconds of computing that a file of this many bytes or more may take: a share of the target's patience, and
+#: so much for each byte (JSON takes a tenth).
+LONG_FROM, SHARE_OF_PATIENCE, SECONDS_A_BYTE = 1 << 20, 0.2, 0.5e-6
 #: A target is given up after so many cases that hung or killed the process: each costs seconds.
 DEATHS_MAX = 6
 #: Seconds in which whole inputs are made and read once.
@@ -242,10 +245,14 @@ def _try(
         if current in order.skipped:
             continue
         case = order.case or make_case(target, seeds, order.seed, current)
-        number.value, since.value = current, time.monotonic()
+        number.value, since.value, computed = current, time.monotonic(), time.process_time()
         with _laid_out(target, bench, seeds, case):
             outcome = judged(target, bench, case)
-        now = time.monotonic()
+        now, computed = time.monotonic(), time.process_time() - computed
+        allowed = SHARE_OF_PATIENCE * target.patience + SECONDS_A_BYTE * len(case.content)
+        if len(case.content) >= LONG_FROM and computed > allowed:
+            detail = f"{computed:.1f} s for {len(case.content)} bytes, where {allowed:.1f} are allowed"
+            outcome = ("slow", f"{Path(case.file).suffix} {outcome}"[:80], detail)
         grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak
         if grown * 1024 > GROWTH_MAX:
             peak += grown
