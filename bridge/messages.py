@@ -116,7 +116,7 @@ class RunOpen:
     """Open a trained run for previews and export, with no training; ``Done`` when it is open.
 
     Where it cannot be opened, what was open before stays. ``data``: the data set, where it has moved; without
-    it a run whose data set is not there opens by what it keeps of that, unless it is an earlier version's.
+    it a run whose data set is not there opens by what it keeps of that.
     """
 
     run: str
