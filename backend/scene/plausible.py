@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What can be read, but not learned from: too near, from one place, of one exposure."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...bridge.errors import BadValueError
+from ...bridge.splatting import NEAR_PLANE
+from .camera import Camera
+from .scene import Scene
+
+#: Of what cameras see of points, so much may lie before the near plane: a few strays that stand in front of a
+#: lens; without a word, and at all.
+STRAYS_BEFORE, MOST_BEFORE = 0.01, 0.5
+#: Depths are looked at from so many cameras, of so many points, evenly chosen.
+CAMERAS_ASKED, POINTS_ASKED = 32, 4096
+#: Degrees across the wider side of a picture. Beyond, the focal length is likely not in pixels.
+WIDEST, NARROWEST = 160.0, 0.1
+
+
+def with_words_of_learning(scene: Scene) -> Scene:
+    """The scene with what its messages are to say of what cannot be learned from it.
+
+    Raises ``BadValueError`` where most of its points are too near to be drawn.
+    """
+    cameras = [view.camera for view in scene.train]
+    told = [_of_places(cameras), _of_lenses(cameras), _of_exposures(scene)]
+    if scene.points is not None:
+        told.append(words_of_depths(scene.root, scene.points.positions, cameras))
+    return dataclasses.replace(scene, messages=(*scene.messages, *filter(None, told)))
+
+
+def words_of_depths(root: Path, positions: np.ndarray, cameras: Sequence[Camera]) -> str:
+    """What is to be said of points ``[P, 3]`` before the near plane of ``cameras``; empty for next to none.
+
+    Raises ``BadValueError`` where they are most of those that are seen.
+    """
+    depths = _depths(positions, cameras)
+    share = float((depths < NEAR_PLANE).mean()) if len(depths) else 0.0
+    if share <= STRAYS_BEFORE:
+        return ""
+    middle = float(np.median(depths))
+    what = (
+        f"{share:.0%} of the points are nearer than {NEAR_PLANE:g} m to the cameras that see them (half of "
+        f"them within {middle:.2g} m): nothing so near is drawn"
+    )
+    factor = 10.0 ** math.ceil(-math.log10(middle)) if 0.0 < middle < 1.0 else 10.0
+    remedy = f"Make the data set larger: multiply all positions, of cameras and of points, by {factor:g}."
+    if share > MOST_BEFORE:
+        raise BadValueError(f"{root}: {what}", remedy)
+    return f"{what}. {remedy}"
+
+
+def _depths(positions: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
+    """``[D]`` metres, of points before the cameras whose pictures they are in."""
+    points = positions[:: max(1, len(positions) // POINTS_ASKED)]
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    found = [np.empty(0)]
+    for camera in cameras[:: max(1, len(cameras) // CAMERAS_ASKED)]:
+        x, y, z = (homogeneous @ camera.world_to_camera.T)[:, :3].T
+        with np.errstate(divide="ignore", invalid="ignore"):  # beside the camera, not before it
+            across = (camera.fx * x / z + camera.cx) / camera.width
+            down = (camera.fy * y / z + camera.cy) / camera.height
+        found.append(z[(z > 0.0) & (np.abs(across - 0.5) <= 0.5) & (np.abs(down - 0.5) <= 0.5)])
+    return np.concatenate(found)
+
+
+def _of_places(cameras: Sequence[Camera]) -> str:
+    spread = float(np.ptp([camera.position for camera in cameras], axis=0).max()) if cameras else math.inf
+    if len(cameras) < 2 or spread > NEAR_PLANE:
+        return ""
+    return (
+        f"all {len(cameras)} training cameras are within {spread:.2g} m: if that is one place, nothing tells "
+        "how far away anything is; if not, multiply all positions, for nothing within "
+        f"{NEAR_PLANE:g} m is drawn"
+    )
+
+
+def _of_lenses(cameras: Sequence[Camera]) -> str:
+    for camera in cameras:
+        angle = math.degrees(2.0 * math.atan(max(camera.width / camera.fx, camera.height / camera.fy) / 2.0))
+        if not NARROWEST <= angle <= WIDEST:
+            return (
+                f"a focal length of {camera.fx:.4g} pixels in a picture of {camera.width}×{camera.height} "
+                f"sees {angle:.3g} degrees: is it given in pixels?"
+            )
+    return ""
+
+
+def _of_exposures(scene: Scene) -> str:
+    """Of pictures that clip: those of radiance hold more than one exposure's."""
+    seconds = {each for view in scene.train for each in view.exposures}
+    if len(seconds) != 1 or not all(encoding.clips for view in scene.train for encoding in view.encodings):
+        return ""
+    return (
+        f"all pictures have one exposure, {seconds.pop():.4g} s: there is no dynamic range to learn from; "
+        "what is clipped in them stays unknown"
+    )
