@@ -16,6 +16,7 @@ import tyro
 from rich.live import Live
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
+from ...bridge.signals import caught, interrupt
 from ..benchmark.job import PROGRAM
 from ..benchmark.live import progress_table
 from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
@@ -26,7 +27,6 @@ from ..benchmark.schedule import Schedule
 from ..benchmark.sized import sized
 from ..device import DeviceName
 from ..jobs.pools import LocalPool, Pool, RayPool
-from ..jobs.process import interrupted_by_sigterm
 from ..runs.files import writable_folder
 from ..runs.terminal import console
 from ..train.config import CONFIG_FILE, TrainConfig, write_config
@@ -167,7 +167,7 @@ class Benchmark:
         )
         if not waiting:
             return
-        with interrupted_by_sigterm():
+        with caught(interrupt):
             if not console.is_terminal:
                 schedule.work_off(pool)
                 return

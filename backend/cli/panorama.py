@@ -17,6 +17,7 @@ from ...bridge.model_file import Model, read_model
 from ...bridge.panorama import near_distance
 from ...bridge.ply_model import read_ply_model
 from ...bridge.probe import WIDTH, Probe, begin, check_width, finish
+from ...bridge.signals import caught, interrupt
 from ..device import DeviceName
 from ..evaluate.panorama import SPLATS_WIDTH, Draw, Report, lit_model, surroundings
 from ..methods.base import Method, SplattingMethod
@@ -27,7 +28,6 @@ from ..scene import Camera
 from ..scene.pictures import write_exr
 from .given import given_of
 from .layers import lights_apart, lit_splats
-from .prepare import ended_politely
 from .told import answered, line, saying
 
 #: What is told of a model that cannot tell its lights apart.
@@ -69,7 +69,7 @@ class Panorama:
         return answered(self._work, self.json)
 
     def _work(self) -> dict[str, Any]:
-        with ended_politely(), torch.no_grad():
+        with caught(interrupt), torch.no_grad():
             return {"probes": self._probes()}
 
     def _probes(self) -> list[dict[str, Any]]:

@@ -3,11 +3,7 @@
 
 import dataclasses
 import math
-import signal
 import statistics
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from ...bridge.data_set import CAPTURE_FORMAT
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError
 from ...bridge.limits import THREADS_MAX, whole
+from ...bridge.signals import catch, caught, interrupt
 from ..runs.terminal import console
 from ..scene.capture import raw
 from ..scene.capture.brackets import Grouping
@@ -100,7 +97,7 @@ class Prepare:
 
     def run(self) -> int:
         voice = Lines() if self.json else Terminal()
-        with ended_politely():
+        with caught(interrupt):
             return answered(lambda: self._work(voice), self.json)
 
     def _work(self, voice: "Voice") -> dict[str, Any]:
@@ -126,7 +123,7 @@ class Prepare:
         if self.borrow_poses and not self.handheld:
             voice.warn("--borrow-poses is of hand-held brackets: without --handheld it changes nothing")
         require_pycolmap()
-        _catch_signals()  # again: glog, which comes with it, took SIGTERM for a crash
+        catch(interrupt)  # again: glog, which comes with it, took SIGTERM for a crash
         with new_folder(folder, self.overwrite) as made, voice:
             result = self._make(understood, made, voice)
         voice.say(f"next: physhdr inspect {as_word(folder)}, then physhdr train {as_word(folder)} --out RUN")
@@ -492,27 +489,3 @@ class Terminal(Voice):
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
-
-
-@contextmanager
-def ended_politely() -> Iterator[None]:
-    """SIGTERM, and CTRL-BREAK on Windows, raise ``KeyboardInterrupt`` as CTRL-C does: nothing stays half."""
-    former = _catch_signals()
-    try:
-        yield
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-def _catch_signals() -> dict[int, Any]:
-    """Take signals from whoever had them, and say who. Not outside the main thread: it gets none."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        return {}
-    names = ("SIGINT", "SIGTERM", "SIGBREAK")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    return {number: signal.signal(number, interrupt) for number in numbers}

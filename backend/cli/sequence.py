@@ -25,13 +25,14 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import CHECKPOINT_FILE
+from ...bridge.signals import caught, interrupt
 from ..benchmark.job import THREAD_VARIABLES
 from ..child import child_command
 from ..device import DeviceName
 from ..evaluate.pictures import finite
 from ..evaluate.sheets import as_picture
 from ..jobs.pools import LocalPool, Outcome
-from ..jobs.process import StoppedError, end_with_parent, interrupted_by_sigterm, run_to_end
+from ..jobs.process import StoppedError, end_with_parent, run_to_end
 from ..rasterize import Implementation
 from ..runs.run import Run, open_run
 from ..scene import Camera
@@ -223,7 +224,7 @@ def draw_at_once(
         folder = Path(name)
         if sure is not None:
             np.save(folder / "confidence.npy", sure.confidence)
-        with interrupted_by_sigterm(), LocalPool(workers) as pool:
+        with caught(interrupt), LocalPool(workers) as pool:
             for number in range(workers):
                 job = folder / f"{number}.json"
                 content = {
@@ -270,7 +271,7 @@ def main(argv: list[str]) -> int:
     """Draw a job's frames; what another process calls."""
     end_with_parent()
     try:
-        with interrupted_by_sigterm():
+        with caught(interrupt):
             return _drawn(argv)
     except KeyboardInterrupt:
         return 130

@@ -7,13 +7,14 @@ import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from ...bridge.connection import Connection, new_token
 from ...bridge.errors import BadValueError
 from ...bridge.limits import THREADS_MAX, whole
 from ...bridge.messages import PROTOCOL_VERSION, JobStatus, Welcome
 from ...bridge.presets import PRESETS
+from ...bridge.signals import UNREPEATED, catch
 from ..project import version, version_of
 from ..serve.curves import Curves
 from ..serve.failures import PackageMissingError, failure_of
@@ -99,14 +100,13 @@ class Serve:
 
 
 def _end_on_signals(inbox: Inbox) -> None:
-    """The first SIGTERM or SIGINT (Windows: CTRL-BREAK) saves and ends; the second one ends at once."""
-    names = ("SIGTERM", "SIGINT", "SIGBREAK")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    """The first signal saves and ends; a second CTRL-C or SIGTERM ends at once."""
+    former: dict[signal.Signals, Any] = {}
 
-    def end(number: int, _: object) -> None:
-        for each in numbers:
-            signal.signal(each, signal.SIG_DFL)
-        inbox.put(Ending(f"it was ended by {signal.Signals(number).name}"))
+    def end(number: signal.Signals) -> None:
+        for each in former:
+            if each.name not in UNREPEATED:
+                signal.signal(each, signal.SIG_DFL)
+        inbox.put(Ending(f"it was ended by {number.name}"))
 
-    for each in numbers:
-        signal.signal(each, end)
+    former |= catch(end)

@@ -16,8 +16,9 @@ import tyro
 
 from ...bridge.errors import BadValueError
 from ...bridge.limits import PARTS_MAX, THREADS_MAX, whole
+from ...bridge.signals import caught, interrupt
 from ..jobs.pools import LocalPool, Outcome, Pool, RayPool
-from ..jobs.process import StoppedError, interrupted_by_sigterm, run_in_front, run_to_end
+from ..jobs.process import StoppedError, run_in_front, run_to_end
 from ..runs.terminal import console
 
 SCRIPT = Path(__file__).resolve().parents[2] / "synth" / "make_scene.py"
@@ -57,7 +58,7 @@ class Synthesise:
         command = (*_started_by(self.blender), *self.options)
         pool: Pool = RayPool(self.ray, self.threads_per_job) if self.ray else LocalPool(self.jobs)
         try:
-            with interrupted_by_sigterm():
+            with caught(interrupt):
                 self._render_parts(pool, command, out / LOGS)
                 # Points, the noise floor, dataset.json; and whatever a part could not render.
                 return run_in_front(command)

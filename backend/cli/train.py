@@ -14,6 +14,7 @@ import tyro
 
 from ...bridge.errors import BadValueError
 from ...bridge.limits import THREADS_MAX, whole
+from ...bridge.signals import caught
 from ..device import DeviceName
 from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
@@ -90,7 +91,7 @@ class Train:
         expected: list[Duration] = []
         with self._begun(expected.append) as (trainer, run):
             stop = _StopOnRequest()
-            with stop, EventLog(run.folder) as log:
+            with caught(stop.handle), EventLog(run.folder) as log:
                 told = trainer.run(
                     run.folder,
                     should_stop=lambda: stop.requested,
@@ -160,25 +161,12 @@ def _with_time_left(event: events.Event, expected: list[Duration]) -> events.Eve
 
 
 class _StopOnRequest:
-    """While active, the first CTRL-C or SIGTERM asks for a stop after the iteration; a second interrupts.
-
-    SIGTERM is what a cluster or a container sends before it kills.
-    """
+    """Whose ``handle`` at the first signal asks for a stop after the iteration; at a second it interrupts."""
 
     def __init__(self) -> None:
         self.requested = False
 
-    def __enter__(self) -> "_StopOnRequest":
-        self._previous = {
-            number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)
-        }
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _handle(self, *_: object) -> None:
+    def handle(self, _: signal.Signals) -> None:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True

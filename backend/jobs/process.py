@@ -5,8 +5,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -93,17 +93,3 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         if not family:
             break
     process.wait()
-
-
-@contextmanager
-def interrupted_by_sigterm() -> Iterator[None]:
-    """A polite end (SIGTERM) raises ``KeyboardInterrupt``, as CTRL-C does: jobs end, what is done is kept."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)

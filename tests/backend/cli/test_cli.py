@@ -214,8 +214,9 @@ def test_kernels_can_be_compiled_ahead(capsys):
     assert "kernels ready" in capsys.readouterr().out
 
 
-def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
-    """A real process and a real CTRL-C."""
+@pytest.mark.parametrize("sent", [["SIGINT"], ["SIGHUP", "SIGHUP"], ["SIGXCPU", "SIGXCPU"]])
+def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path, sent):
+    """A real CTRL-C; the end of its terminal; the limit of its CPU time, which is repeated."""
     folder = tmp_path / "run"
     physhdr = Path(sys.executable).with_name("physhdr")
     command = [physhdr, "train", tiny_data, "--out", folder]
@@ -224,7 +225,8 @@ def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
     while not (folder / "log.jsonl").exists() or '"progress"' not in (folder / "log.jsonl").read_text():
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
+    for name in sent:
+        process.send_signal(getattr(signal, name))
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 130 and b"--resume" in output
     stopped_at = int(load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"])
