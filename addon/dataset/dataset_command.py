@@ -15,6 +15,7 @@ from ...synth import arguments as command_line
 from ...synth import user_camera
 from ...synth.options import CURRENT, Options
 from ...synth.response import by_name
+from .. import outside
 from ..session.dataset_words import in_the_dialogs_words
 from . import dataset_folder
 from .dataset_settings import RenderOptions
@@ -50,7 +51,9 @@ def options(arguments: list[str]) -> Options:
 
 
 def _arguments(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> list[str]:
-    response = bpy.path.abspath(chosen.response_file) if chosen.response == "file" else chosen.response
+    response = chosen.response
+    if response == "file":
+        response = outside.followed(bpy.path.abspath(chosen.response_file))
     if not response:
         raise BadValueError("no file of the camera's response is chosen", "Choose one under Curve.")
     if chosen.lit_views and not chosen.lights:

@@ -10,6 +10,7 @@ import bpy
 
 from ...bridge.data_set import INFO_FILE, PARTIAL_FILE
 from ...bridge.errors import BadValueError, OutputError
+from .. import outside
 from ..paths import first_free, user_folder, whole
 from .dataset_settings import PHYSHDR_DatasetSettings
 
@@ -44,12 +45,12 @@ def _documents() -> Path:
 def chosen_folder(given: str) -> Path:
     """The folder that was given, from the root on; it need not be there yet.
 
-    Raises ``BadValueError`` where none is given, ``OutputError`` where the system refuses the path: it is too
-    long, or of a computer that does not answer.
+    Raises ``BadValueError`` where none is given, or one in a network that the user has not chosen;
+    ``OutputError`` where the system refuses the path: it is too long, or of a computer that does not answer.
     """
     if not given.strip():
         raise BadValueError("no folder is chosen for the data set", "Choose a new or empty one.")
-    folder = Path(whole(given))
+    folder = Path(outside.followed(whole(given)))
     with _refusals_in_words(folder), suppress(FileNotFoundError, NotADirectoryError):
         folder.stat()
     return folder

@@ -299,7 +299,7 @@ class PHYSHDR_OT_dataset_check(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            summary = summarise(dataset_folder.chosen_folder(self.folder))
+            summary = summarise(dataset_folder.chosen_folder(outside.choose(self.folder)))
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

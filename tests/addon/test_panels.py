@@ -342,6 +342,27 @@ def test_no_text_is_cut_at_the_default_width(chosen, name, tmp_path, monkeypatch
                 assert not any(word in text for word in JARGON), f"{panel.__name__}: {text!r}"
 
 
+def test_what_a_file_names_outside_it_is_shown_with_its_buttons(chosen, tmp_path):
+    """One button for what is on this computer, one for each place in a network; none where all is chosen."""
+    ready = states(chosen.data)["ready"]
+    assert "physhdr.outside_look" not in [name for *_, name, _ in texts(draw(PHYSHDR_PT_train, ready))]
+    network = "\\\\server\\share\\a folder with a name that is a little longer than the panel"
+    with settings.respelling():  # as a file names them
+        chosen.out = network
+    shown = list(texts(draw(PHYSHDR_PT_train, ready)))
+    buttons = [text for _, text, _, name, _ in shown if name == "physhdr.outside_look"]
+    assert buttons == [""]
+    with settings.respelling():
+        chosen.photos = str(tmp_path / "photographs that were taken in the kitchen of a friend")
+    shown = list(texts(draw(PHYSHDR_PT_train, ready)))
+    buttons = [text for _, text, _, name, _ in shown if name == "physhdr.outside_look"]
+    assert buttons == ["", "physhdr.outside_look"]  # the second's text is the operator's own name
+    assert any(text.endswith("kitchen of a friend") for _, text, *_ in shown)
+    for kind, text, free, name, _ in shown:
+        text = "Look at Them" if text == name else text
+        assert parts.text_width(text) <= free, f"{kind} {text!r} is cut"
+
+
 def test_no_text_of_a_models_sliders_is_cut(chosen, make_model, write):
     """Those of the selected model, which its modifier calls by longer names."""
     steps = np.linspace(-8.0, 8.0, 32, dtype=np.float32)
