@@ -29,7 +29,7 @@ from .told import progress
 from .web import export_web
 
 #: Said of a model whose training pictures have gone.
-NO_CONFIDENCE = "without confidence, for the training pictures are not there (--data)"
+NO_CONFIDENCE = "without confidence: the training pictures are not there, or are others (--data)"
 #: Of a PLY file, among the first bytes of whose header an export has written where it comes from.
 HEAD_BYTES = 4096
 
