@@ -131,13 +131,13 @@ def test_what_a_strangers_file_makes_happen_is_told_from_what_blender_does(tmp_p
     ]
     begins = f'7 newfstatat(AT_FDCWD, "{BEGIN}", 0x1, 0) = -1 ENOENT'
     named = places(Path("/elsewhere"))
-    own = ['7 openat(AT_FDCWD, "/work/file.blend", O_RDONLY) = 3', "7 --- SIGCHLD {si_signo=SIGCHLD} ---"]
+    own = ['7 openat(AT_FDCWD, "/files/file.blend", O_RDONLY) = 3', "7 --- SIGCHLD {si_signo=SIGCHLD} ---"]
     assert traced([*before, begins, *own], named) == []
     in_network = NETWORK.replace("\\", "\\\\")
     for line in (
         '8 execve("/usr/bin/python", ["python", "launch.py"], 0x1) = 0',
         '7 newfstatat(AT_FDCWD, "/elsewhere/data", 0x1, 0) = -1 ENOENT',
-        f'7 lstat("/work/{in_network}\\data", 0x1) = -1 ENOENT',
+        f'7 lstat("/files/{in_network}\\data", 0x1) = -1 ENOENT',
     ):
         assert traced([*before, begins, *own, line], named) == [line]
     assert traced(before, named) == ["strace did not see the beginning"]
