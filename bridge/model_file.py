@@ -23,15 +23,13 @@ from .atomic import atomic_path
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from .lights import AMBIENT, Levels, as_levels, check_lights
 from .limits import EV_MAX, EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
-from .regular import parse_json, without_waiting
+from .regular import LONGEST_HEADER, parse_json, without_waiting
 
 FORMAT = "physhdr-model"
 VERSION = 1
 #: What the name of a model file ends with.
 SUFFIX = ".safetensors"
 WORKING_SPACE = "Linear Rec.709"
-#: The safetensors library's own limit; a larger number is a file of something else.
-HEADER_BYTES_MAX = 100_000_000
 
 #: The least that a lighting level leaves of a radiance, where its logarithm is needed.
 DARKEST = 1e-6
@@ -315,7 +313,7 @@ def _says_model(path: Path) -> bool:
         if not stat.S_ISREG(found.st_mode):
             return False
         length = int.from_bytes(file.read(8), "little")
-        if length > min(HEADER_BYTES_MAX, found.st_size):
+        if length > min(LONGEST_HEADER, found.st_size):
             return False
         header = file.read(length)
     try:
@@ -367,6 +365,12 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
         header[name] = {"dtype": "F32", "shape": list(array.shape), "data_offsets": [start, end]}
     header_bytes = json.dumps(header, separators=(",", ":")).encode()
     header_bytes += b" " * (-len(header_bytes) % 8)  # aligns the data, as the safetensors library does
+    if len(header_bytes) > LONGEST_HEADER:
+        raise OutputError(
+            f"cannot write the model file {path}: its header would have {len(header_bytes)} bytes, of which "
+            f"readers take {LONGEST_HEADER}",
+            "Its metadata are too long: shorten them.",
+        )
 
     try:
         # Looked at again at the end: writing takes seconds, the rename no time.
@@ -419,8 +423,10 @@ def _map_file(path: Path) -> memoryview:
 def _read_header(data: memoryview, path: Path) -> tuple[dict[str, Any], int]:
     """The JSON header and the offset at which the tensors' data start."""
     length = int.from_bytes(data[:8], "little")
-    if length > HEADER_BYTES_MAX or bytes(data[8:9]) not in (b"{", b""):
+    if bytes(data[8:9]) not in (b"{", b""):
         raise _damaged(path, "is not a PhysHDR model: no safetensors header")
+    if length > LONGEST_HEADER:
+        raise _damaged(path, f"has a header of {length} bytes: no model has more than {LONGEST_HEADER}")
     if 8 + length > len(data):
         raise _damaged(path, f"is truncated: its header needs {8 + length} bytes, the file has {len(data)}")
     try:

@@ -22,8 +22,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from ...bridge.lights import check_lights
 from ...bridge.limits import LOG_RADIANCE_MAX
-from ...bridge.model_file import HEADER_BYTES_MAX
-from ...bridge.regular import parse_json
+from ...bridge.regular import LONGEST_HEADER, parse_json
 from ..methods.base import Responses
 
 FORMAT = "physhdr-checkpoint"
@@ -127,9 +126,9 @@ def _read(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     for attempt in range(READS):
         before = _identity(path)
         try:
+            _header(path)  # the library takes a name that stands twice, and a header of any length
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
-                _header(path)  # the library takes a name that stands twice
                 # Copies: the library's are the mapped file, which Windows does not let anybody replace.
                 tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118 (no dict)
             if _identity(path) == before or attempt == READS - 1:
@@ -146,7 +145,9 @@ def _header(path: Path) -> Any:
     """The file's JSON header; raises ``OSError`` and what ``parse_json`` raises."""
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
-        return parse_json(file.read(min(length, HEADER_BYTES_MAX)).decode("utf-8"))
+        if length > LONGEST_HEADER:
+            raise ValueError(f"it claims {length} bytes, and none has more than {LONGEST_HEADER}")
+        return parse_json(file.read(length).decode("utf-8"))
 
 
 def _identity(path: Path) -> tuple[int, int, int]:

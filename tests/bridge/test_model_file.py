@@ -25,6 +25,7 @@ from physhdr.bridge.model_file import (
     refuse_what_is_not_ours,
     write_model,
 )
+from physhdr.bridge.regular import LONGEST_HEADER
 
 
 def make_model(
@@ -330,6 +331,16 @@ def test_a_name_that_stands_twice_is_refused(path: Path, text: str):
     assert json.loads(twice) == json.loads(header)
     path.write_bytes(len(twice).to_bytes(8, "little") + twice + data)
     with pytest.raises(FileDamagedError, match=r"m.*\.safetensors.*stands twice"):
+        read_model(path)
+
+
+def test_a_header_is_of_two_megabytes_at_most(path: Path):
+    write_model(path, dataclasses.replace(make_model(), metadata={"note": "x" * (LONGEST_HEADER - 2000)}))
+    assert len(read_model(path).metadata["note"]) == LONGEST_HEADER - 2000
+    with pytest.raises(OutputError, match=r"its header would have \d+ bytes"):
+        write_model(path, dataclasses.replace(make_model(), metadata={"note": "x" * LONGEST_HEADER}))
+    rewrite(path, lambda header, _: header["__metadata__"].update(note="x" * LONGEST_HEADER))
+    with pytest.raises(FileDamagedError, match=r"has a header of \d+ bytes: no model has more"):
         read_model(path)
 
 

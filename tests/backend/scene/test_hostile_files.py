@@ -387,7 +387,9 @@ def test_a_point_cloud_that_claims_more_than_it_has(data_set: Path) -> None:
     """No memory is taken for rows before they are found."""
     header = "ply\nformat ascii 1.0\nelement vertex 100000000000\nproperty list uchar int x\nend_header\n"
     (data_set / "points3d.ply").write_text(header)
-    with pytest.raises(FileDamagedError, match=r"points3d\.ply .*it claims 100000000000 rows of vertex and has 0"):
+    with pytest.raises(
+        FileDamagedError, match=r"points3d\.ply .*it claims 100000000000 rows of vertex and has 0"
+    ):
         read_scene(data_set)
 
 
