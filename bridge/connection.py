@@ -18,7 +18,7 @@ from pathlib import Path
 from .atomic import atomic_path
 from .errors import FileDamagedError, FileMissingError, OutputError
 from .lock import Lock, LocksRefusedError
-from .regular import without_waiting
+from .regular import resolved, without_waiting
 
 CONNECTION_FILE = "connection.json"
 #: Locked by the backend from before it writes the connection file until after it has removed it.
@@ -83,8 +83,8 @@ def private_home(folder: Path) -> None:
 
 
 def _close_to_others(folder: Path, found: os.stat_result) -> None:
-    own = Path(os.path.expanduser("~")).resolve()
-    if found.st_mode & stat.S_ISVTX or folder.resolve() in (own, *own.parents):
+    own = resolved(Path(os.path.expanduser("~")))
+    if found.st_mode & stat.S_ISVTX or resolved(folder) in (own, *own.parents):
         raise OutputError(
             f"{folder} is open to other users, and closing it to them would close more than a backend's",
             f"Choose a folder in it as the home, say {folder / 'physhdr'}.",

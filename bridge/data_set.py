@@ -22,7 +22,7 @@ from typing import Any
 from .errors import BadValueError
 from .lights import AMBIENT
 from .limits import is_number
-from .regular import read_json_object
+from .regular import read_json_object, resolved
 
 FORMAT, VERSION = "physhdr-dataset", 1
 #: The ``name`` of the ``generator`` in ``dataset.json``: who rendered the data.
@@ -195,7 +195,7 @@ def is_unfinished(root: Path) -> bool:
 def scene_name(root: Path, info: dict[str, Any]) -> str:
     """What ``dataset.json`` calls the scene, else the folder's name."""
     said = info.get("scene")
-    return said if isinstance(said, str) and said else root.resolve().name
+    return said if isinstance(said, str) and said else resolved(root).name
 
 
 def stated_stops(info: dict[str, Any]) -> float | None:

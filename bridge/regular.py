@@ -44,6 +44,14 @@ def require_text(name: str) -> None:
         ) from None
 
 
+def resolved(path: Path) -> Path:
+    """``path``, absolute and without links; of links that lead to each other as far as they lead.
+
+    ``Path.resolve`` raises ``RuntimeError`` of such, before Python 3.13.
+    """
+    return Path(os.path.realpath(path))
+
+
 def regular_file(path: Path, remedy: str = "") -> Path:
     """``path``, which leads to a regular file, maybe over links; nothing is opened.
 

@@ -16,6 +16,7 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
+from ..bridge.regular import resolved
 from . import (
     active_camera,
     composited,
@@ -144,7 +145,7 @@ def _open_file(name: str | None, allow_scripts: bool) -> None:
     try:
         with quiet():
             allowed: Any = {"use_scripts": True} if allow_scripts else {}  # else as Blender was started
-            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, **allowed)
+            bpy.ops.wm.open_mainfile(filepath=str(resolved(path)), load_ui=False, **allowed)
     except RuntimeError as error:
         told = str(error).removeprefix("Error: ").strip()
         raise SceneFileError(

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from ...bridge.errors import DataMismatchError, OutputError
+from ...bridge.regular import resolved
 from ..blender import CLIP_END, CLIP_START, settings_of_cycles, to_matrix
 
 #: Gaussians a ray may pass. Cycles' own limit is 1024; a ray through a trained room meets hundreds.
@@ -107,7 +108,7 @@ def render_exr(scene: bpy.types.Scene, path: Path) -> None:
     settings.color_depth = "32"
     settings.exr_codec = "ZIP"
     scene.render.use_file_extension = False
-    scene.render.filepath = str(path.resolve())
+    scene.render.filepath = str(resolved(path))
     try:
         bpy.ops.render.render(write_still=True, scene=scene.name)
     except RuntimeError as error:
@@ -118,7 +119,7 @@ def save_blend(path: Path) -> None:
     """Save the open file at ``path``, packed into itself as far as Gaussians are concerned."""
     _make_folder_of(path)
     try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(path.resolve()), check_existing=False)
+        bpy.ops.wm.save_as_mainfile(filepath=str(resolved(path)), check_existing=False)
     except RuntimeError as error:
         raise OutputError(f"cannot save {path}: {error}", "Check that you may write there.") from error
 

@@ -35,7 +35,7 @@ from ...bridge import data_set
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import THREADS_MAX, whole
-from ...bridge.regular import read_text
+from ...bridge.regular import read_text, resolved
 
 PLAN_FILE = "plan.toml"
 SETTINGS = ("exp1", "exp3")
@@ -134,7 +134,7 @@ class SceneFolder:
         name, equals, folder = text.partition("=")
         if not equals or (beside / text).exists():
             name, folder = "", text
-        data = (beside / os.path.expanduser(folder)).resolve()
+        data = resolved(beside / os.path.expanduser(folder))
         if not data.is_dir():
             raise FileMissingError(f"there is no data set {data}", "Name the folder of a data set.")
         return cls(_name(name or data.name, "scene"), data)
@@ -366,7 +366,7 @@ def read_plan(path: Path) -> dict[str, Any]:
         content = tomllib.loads(read_text(path, remedy))
     except (ValueError, RecursionError) as error:
         raise FileDamagedError(f"{path} is not a plan: {error!s:.200}", remedy) from error
-    at = path.parent.resolve()
+    at = resolved(path.parent)
     if isinstance(content.get("scenes"), list):
         content["scenes"] = [str(SceneFolder.parsed(str(text), at)) for text in content["scenes"]]
     if isinstance(content.get("external"), list):

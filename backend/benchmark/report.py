@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
+from ...bridge.regular import resolved
 from ...bridge.words import counted
 from ..evaluate.comparison import NONE, SCALE, ComparedRun, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
@@ -170,7 +171,7 @@ def without_places(text: str, schedule: Schedule) -> str:
     """
     names = {scene.data: scene.name for scene in schedule.store.plan.scenes}
     names |= {schedule.store.data_folder(scene): scene.name for scene in schedule.store.plan.scenes}
-    names |= {schedule.store.out.resolve(): "OUT", schedule.store.out.absolute(): "OUT", PACKAGE: "physhdr"}
+    names |= {resolved(schedule.store.out): "OUT", schedule.store.out.absolute(): "OUT", PACKAGE: "physhdr"}
     names |= {method.place: method.place.name for method in schedule.store.plan.methods if method.place}
     names |= {Path.home(): "~"}
     for place in sorted(names, key=lambda each: len(str(each)), reverse=True):  # the innermost first

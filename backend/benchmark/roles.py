@@ -8,7 +8,7 @@ from typing import Any
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError
-from ...bridge.regular import read_json_object
+from ...bridge.regular import read_json_object, resolved
 from ..scene import hdr_nerf_syn
 from .plan import TUNE, Plan, SceneFolder
 
@@ -63,7 +63,7 @@ def room_of(data: Path) -> str:
     match info:
         case {"source": {"file": str(file), "scene": str(scene)}, "objects": {**objects}} if objects:
             return f"{file}: {scene}: {', '.join(sorted(objects))}"
-    return str(data.resolve())
+    return str(resolved(data))
 
 
 def _told(data: Path) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from typing import Any, Literal
 from ...bridge import data_set
 from ...bridge.atomic import atomic_path, patiently
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
+from ...bridge.regular import resolved
 from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE, completed, method_of
 from .external import pictures_digest
@@ -438,8 +439,8 @@ def _files_below(top: Path) -> Iterator[Path]:
     """
     for place, folders, names in os.walk(top, followlinks=True):
         here = Path(place)
-        around = [each.resolve() for each in (here, *here.parents)[: len(here.relative_to(top).parts) + 1]]
-        real = {name: (here / name).resolve() for name in folders if not name.startswith(".")}
+        around = [resolved(each) for each in (here, *here.parents)[: len(here.relative_to(top).parts) + 1]]
+        real = {name: resolved(here / name) for name in folders if not name.startswith(".")}
         folders[:] = [name for name in real if not any(each.is_relative_to(real[name]) for each in around)]
         yield from (here / name for name in names)
 

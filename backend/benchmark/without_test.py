@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ...bridge import data_set
 from ...bridge.errors import OutputError
+from ...bridge.regular import resolved
 
 #: What such a folder has of a data set beside files of points: its description, each split but the test's.
 _NAMES = (
@@ -42,9 +43,9 @@ def link_without_test(data: Path, folder: Path) -> Path:
             if path.name not in names and not path.name.startswith("."):
                 path.unlink(missing_ok=True)
         for name in names:
-            target, link = data.resolve() / name, folder / name
+            target, link = resolved(data) / name, folder / name
             # As both are resolved: what Windows says of a link's target is another spelling of it.
-            if not link.is_symlink() or link.resolve() != target.resolve():
+            if not link.is_symlink() or resolved(link) != resolved(target):
                 _replace(link, target)
     except OSError as error:
         raise OutputError(

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
+from ...bridge.regular import resolved
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
 from ..evaluate.confidence import CALIBRATION_FILES
@@ -133,7 +134,7 @@ class Evaluate:
             raise BadValueError("pictures have no confidence: a run's Gaussians have", "Leave it out.")
         if self.data is None:
             raise BadValueError("--pictures needs the data set that they are of", "Name it: --data DATA")
-        if self.out is None and self.pictures.resolve() == self.data.resolve():
+        if self.out is None and resolved(self.pictures) == resolved(self.data):
             raise BadValueError(
                 f"{self.pictures} is the data set itself, where no results are written",
                 "Name a folder for them: --out FOLDER",
@@ -168,13 +169,13 @@ def _of_run(run: Run) -> _Subject:
         "iterations": run.config.iterations,
         "falloff": None if run.lenses is None else run.lenses.falloff,
     }
-    names = (run.preset, run.folder.name, str(run.folder.resolve()))
+    names = (run.preset, run.folder.name, str(resolved(run.folder)))
     mode, seed = run.config.exposure_mode, run.config.seed
     return _Subject(run.folder, names, run.scene, run.method, mode, seed, training, run=run)
 
 
 def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | None) -> _Subject:
-    whole = pictures.folder.resolve()
+    whole = resolved(pictures.folder)
     parts = {"hdr": pictures.has_hdr, "shows": pictures.shows}
     names = (whole.name, whole.name, str(whole))
     return _Subject(pictures.folder, names, scene, pictures, exposure_mode or "unknown", parts=parts)
@@ -199,7 +200,7 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: 
     scene = subjects[0][0].scene
     entries = []
     for name, (subject, folder) in zip(names, subjects, strict=True):
-        if subject.scene.root.resolve() != scene.root.resolve():
+        if resolved(subject.scene.root) != resolved(scene.root):
             raise BadValueError(
                 f"{subject.folder} was trained on {subject.scene.root}, not on {scene.root}",
                 "Compare runs on one data set, or give --data where it has moved.",

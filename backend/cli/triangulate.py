@@ -9,6 +9,7 @@ import tyro
 
 from ...bridge.errors import OutputError
 from ...bridge.limits import THREADS_MAX, whole
+from ...bridge.regular import resolved
 from ..runs.files import writable_folder
 from ..runs.terminal import console
 from ..scene import read_scene
@@ -87,6 +88,6 @@ class Triangulate:
             f"{points.views.mean():.1f} on average; reprojection error {points.errors.mean():.2f} pixels",
             soft_wrap=True,
         )
-        inside = out.resolve().is_relative_to(self.data.resolve())
-        name = out.resolve().relative_to(self.data.resolve()) if inside else out.resolve()
+        inside = resolved(out).is_relative_to(resolved(self.data))
+        name = resolved(out).relative_to(resolved(self.data)) if inside else resolved(out)
         console.print(f"next: physhdr train {as_word(self.data)} --out RUN --points-file {as_word(name)}")

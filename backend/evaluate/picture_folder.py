@@ -21,6 +21,7 @@ from ...bridge.atomic import REMEDY, patiently
 from ...bridge.data_set import TEST
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, OutputError, PhysHDRError
 from ...bridge.lights import AMBIENT, Levels, as_levels
+from ...bridge.regular import resolved
 from ..scene.camera import Camera
 from ..scene.encoding import LARGEST
 from ..scene.pictures import picture_size, read_codes, write_exr, write_png
@@ -222,7 +223,7 @@ def write_pictures(
     mixture of two models. ``progress`` is called with (views done, all, what is next). Raises
     ``BadValueError`` where ``folder`` is the data set itself or the model renders NaN, and ``OutputError``.
     """
-    if folder.resolve() == scene.root.resolve():
+    if resolved(folder) == resolved(scene.root):
         raise BadValueError(
             f"{folder} is the data set: its own pictures would be replaced", "Give another folder."
         )

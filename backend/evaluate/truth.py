@@ -16,7 +16,7 @@ from ...bridge import data_set
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import check_level
-from ...bridge.regular import read_json_object
+from ...bridge.regular import read_json_object, resolved
 from ..scene.source import exr_rec709
 from ..scene.truth_folders import GAUSSHDR, HDR_GS, holds_truth
 
@@ -161,7 +161,7 @@ def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None
             case _:
                 raise BadValueError(f"{where} is {entry!r:.80}", _LIST_FORM)
         folder = root / name
-        if "\0" in name or not folder.resolve().is_relative_to(root.resolve()):
+        if "\0" in name or not resolved(folder).is_relative_to(resolved(root)):
             raise BadValueError(f"{where}: the folder {name!r:.80} is not in the data set", _LIST_FORM)
         if lights is not None:
             lights = check_lights(lights, str(path))

@@ -8,6 +8,7 @@ itself, and then the reader has the last word.
 from pathlib import Path
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.regular import resolved
 from ..scene import Scene, hdr_nerf_syn, read_scene
 from .any_layout import look_at_scene
 from .findings import Inspection
@@ -23,7 +24,7 @@ def inspect(root: Path, downscale: float | None = None, color_space: str | None 
     Raises nothing that a damaged data set could cause.
     """
     root = Path(root)
-    found = Inspection(str(root), scene=root.resolve().name)
+    found = Inspection(str(root), scene=resolved(root).name)
     if hdr_nerf_syn.is_mine(root):
         faulty = look_at_folder(root, found)
         _ask_the_reader(root, downscale, color_space, found, faulty)

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...bridge.regular import require_text
+from ...bridge.regular import require_text, resolved
 from ..device import DeviceName, choose_device
 from ..kernels.ahead import Needs
 from ..rasterize import Implementation
@@ -80,7 +80,7 @@ def start_run(
     reading, training and writing raise.
     """
     for path in (data, out):
-        require_text(str(path.resolve()))  # as config.json will have it: the working directory counts
+        require_text(str(resolved(path)))  # as config.json will have it: the working directory counts
     if not overwrite:
         refuse_a_run(out)
     holds_a_run(out)

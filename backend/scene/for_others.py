@@ -22,6 +22,7 @@ from PIL import Image
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.regular import resolved
 from .camera import Camera
 from .colmap_model import write_pinholes
 from .encoding import SRGB
@@ -205,7 +206,7 @@ def _write_picture(picture: _Picture, folder: Path, how: How, said: LaidOut) -> 
 def _linked(source: Path, path: Path) -> bool:
     """Whether the disk could link the file; not to another disk, and some know no links at all."""
     try:
-        os.link(source.resolve(), path)
+        os.link(resolved(source), path)
     except OSError:
         return False
     return True

@@ -24,7 +24,7 @@ import numpy as np
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import OutputError, PhysHDRError
 from ...bridge.limits import MAX_PIXELS
-from ...bridge.regular import regular_file
+from ...bridge.regular import regular_file, resolved
 from .source import Decoded, PictureSource
 
 log = logging.getLogger(__name__)
@@ -155,7 +155,7 @@ def store_for(root: Path, pictures: Iterable[tuple[Path, int, int]]) -> tuple[Un
     pictures = list(pictures)
     needed = sum(w * h * 3 * (1 if path.suffix.lower() in EIGHT_BITS else 2) for path, w, h in pictures)
     beside = root / FOLDER
-    digest = hashlib.sha256(os.fsencode(root.resolve())).hexdigest()[:16]
+    digest = hashlib.sha256(os.fsencode(resolved(root))).hexdigest()[:16]
     with_user = user_cache() / "undistorted" / digest
     size = f"{len(pictures)} pictures, {needed / 1e6:,.0f} MB"
     why: list[str] = []

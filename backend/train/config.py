@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
-from ...bridge.regular import read_json_object
+from ...bridge.regular import read_json_object, resolved
 from ...bridge.run_folder import CONFIG_FILE as CONFIG_FILE
 from ..methods.base import MethodConfig
 from ..methods.physhdr_common import PhysHDRConfig
@@ -225,7 +225,7 @@ class RunConfig(NamedTuple):
 
 def write_config(path: Path, config: TrainConfig, data: Path, preset: str) -> None:
     """Write ``config.json``: with the data set it reproduces the run. Raises ``OutputError``."""
-    content = {"data": str(data.resolve()), "preset": preset, "config": _values(config)}
+    content = {"data": str(resolved(data)), "preset": preset, "config": _values(config)}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 

@@ -28,6 +28,7 @@ from ....bridge.affine import quaternion_of
 from ....bridge.atomic import patiently
 from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
+from ....bridge.regular import resolved
 from ..held_out_views import held_out_places
 from ..lens import Lens
 from ..pictures import deep_png
@@ -56,7 +57,7 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
     Raises ``OutputError`` where ``out`` is a mount point, or is not empty, unless ``overwrite`` and this
     command made all that is in it.
     """
-    out = out.resolve()
+    out = resolved(out)
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file", "Give a folder that is not there yet.")
     if os.path.ismount(out):  # what lies beside it is another file system
