@@ -16,6 +16,7 @@ import tyro
 from rich.live import Live
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
+from ...bridge.regular import resolved
 from ...bridge.signals import caught, interrupt
 from ..benchmark.job import PROGRAM
 from ..benchmark.live import progress_table
@@ -90,9 +91,9 @@ class Benchmark:
         out = writable_folder(self.out)
         if not self.report_only and not _is_in(out / PLAN_FILE, plan):
             write_plan(plan, out / PLAN_FILE)
-        configs = configurations(plan, presets, out.resolve())
+        configs = configurations(plan, presets, resolved(out))
         schedule = Schedule(
-            Store(out.resolve(), plan, configs, data, _weights(plan.lpips_weights)),
+            Store(resolved(out), plan, configs, data, _weights(plan.lpips_weights)),
             tell=lambda line: console.print(line, soft_wrap=True, markup=False),
             retry=self.retry,
             evaluate_again=self.evaluate_again,
@@ -134,7 +135,7 @@ class Benchmark:
             "budgets": _split(self.budget),
             "set": list(self.set),
             "margins_of": _split(self.margins_of),
-            "lpips_weights": self.lpips_weights and str(self.lpips_weights.resolve()),
+            "lpips_weights": self.lpips_weights and str(resolved(self.lpips_weights)),
             "device": self.device,
             "threads_per_job": self.threads_per_job,
         }

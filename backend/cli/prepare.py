@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from ...bridge.data_set import CAPTURE_FORMAT
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError
 from ...bridge.limits import THREADS_MAX, whole
+from ...bridge.regular import resolved
 from ...bridge.signals import catch, caught, interrupt
 from ..runs.terminal import console
 from ..scene.capture import raw
@@ -153,7 +154,7 @@ class Prepare:
                 else f"two folders were given for the data set: {self.data} and {self.out}",
                 "Give one folder: physhdr prepare PHOTOS DATA, or --out DATA.",
             )
-        photos, out = self.photos.resolve(), folder.resolve()
+        photos, out = resolved(self.photos), resolved(folder)
         if out == photos or out in photos.parents:
             raise OutputError(f"{folder} holds the photos", "Give another folder for the data set.")
         return folder
