@@ -24,7 +24,6 @@ def test(window: Window) -> Iterator[float]:
     with window.module("addon.settings").respelling():  # as a stranger's file has them
         chosen.data, chosen.photos, chosen.out = str(data), str(photos), f"{NETWORK}\\run"
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
-    bpy.ops.wm.read_homefile()
     with watched(str(data), str(photos), COMPUTER) as found:
         bpy.ops.wm.open_mainfile(filepath=str(file))
         yield from window.redrawn()
