@@ -5,6 +5,7 @@ import contextlib
 import os
 import re
 import secrets
+import shutil
 import stat
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,8 @@ from .errors import OutputError
 ABANDONED_SECONDS = 3600.0
 #: Stands in the name of every temporary file, before the suffix.
 MARK = ".tmp"
+#: The folder of files that are not all written yet, in theirs.
+UNFINISHED = ".unfinished"
 #: Bytes of the longest name that a file may have, on most systems.
 LONGEST_NAME = 255
 #: How Windows says that somebody has a file open: access denied, a sharing violation, a lock's. Antivirus
@@ -77,6 +80,28 @@ def atomic_path(
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def all_at_once(folder: Path) -> Iterator[Path]:
+    """A new folder in ``folder``, whose files take their places in that if the block ends without an error.
+
+    Else what was there stays whole: files that belong together are no mixture of old and new. Raises
+    ``OutputError`` where a file cannot take its place; those before it have taken theirs.
+    """
+    unfinished = folder / UNFINISHED
+    shutil.rmtree(unfinished, ignore_errors=True)  # of one that was killed
+    try:
+        yield unfinished
+        for written in sorted(path for path in unfinished.rglob("*") if path.is_file()):
+            path = folder / written.relative_to(unfinished)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                patiently(partial(written.replace, path))
+            except OSError as error:
+                raise OutputError(f"cannot write {path}: {error.strerror or error}", REMEDY) from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def patiently(move: Callable[[], object]) -> None:

@@ -8,19 +8,18 @@ from typing import Any, Literal
 import tyro
 from rich.text import Text
 
-from ...bridge.atomic import atomic_path
+from ...bridge.atomic import all_at_once, atomic_path
 from ...bridge.errors import BadValueError
 from ...bridge.regular import resolved
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
-from ..evaluate.confidence import CALIBRATION_FILES
 from ..evaluate.photos import Falloff, falloff_there
 from ..evaluate.picture_folder import PictureFolder
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.renderer import Renderer
 from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_terminal, write_report
 from ..evaluate.response import learned_response, write_response_figure
-from ..evaluate.results import VIEWS_OF
+from ..evaluate.results import VIEWS_OF, Evaluation
 from ..evaluate.sheets import comparison_sheet, method_sheet
 from ..optional import PackageMissingError
 from ..rasterize import Implementation
@@ -74,6 +73,8 @@ class Evaluate:
         subject = self._subject(say)
         out = writable_folder(self.out or subject.folder)
         lpips = lpips_from(self.lpips_weights)
+        for folder in self.against:
+            load_evaluation(folder)  # what cannot be compared with is said before minutes are spent
         with progress("evaluate", "picture", self.json) as show:
             evaluation = evaluate(
                 subject.renderer,
@@ -85,9 +86,18 @@ class Evaluate:
                 **subject.training,
                 **subject.parts,
             )
-        paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
-        say(to_terminal(evaluation))
-        sheet = out / SHEET_FILE
+        try:
+            with all_at_once(out) as unfinished:
+                self._write(subject, evaluation, unfinished, say)
+                names = sorted(path.name for path in unfinished.iterdir())
+        finally:
+            say(to_terminal(evaluation))  # also where they cannot be written: the numbers took long
+        say("wrote " + ", ".join(str(out / name) for name in names))
+        return {"folder": str(out), "split": self.split}
+
+    def _write(self, subject: "_Subject", evaluation: Evaluation, out: Path, say: Say) -> None:
+        """All files of the evaluation, into ``out``."""
+        write_report(evaluation, out)
         name = "ours" if self.folder else subject.names[0]
         picture = comparison_sheet(
             subject.renderer,
@@ -98,19 +108,16 @@ class Evaluate:
             falloff=subject.training.get("falloff") if evaluation.falloff_used else None,
             **subject.parts,
         )
-        write_png(sheet, picture)
-        paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split, say)]
+        write_png(out / SHEET_FILE, picture)
+        _draw_response(subject, out / RESPONSE_FILE, self.split, say)
         if self.confidence:
             assert subject.run is not None  # pictures have none: _subject refused
             table = write_calibration(subject.run, self.split, out)
             say(table.rich(f"{subject.scene.name}, {VIEWS_OF[self.split]}"))
-            paths += [out / name for name in CALIBRATION_FILES]
         if self.against:
             others = [_of_run(self._open(folder, say)) for folder in self.against]
             compared = [(subject, out), *((other, other.folder) for other in others)]
-            paths += _compare(compared, out, self.split, say)
-        say("wrote " + ", ".join(str(path) for path in paths))
-        return {"folder": str(out), "split": self.split}
+            _compare(compared, out, self.split, say)
 
     def _open(self, folder: Path, say: Say) -> Run:
         return open_run(folder, self.data, self.rasteriser, self.device, say)
@@ -181,20 +188,18 @@ def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | Non
     return _Subject(pictures.folder, names, scene, pictures, exposure_mode or "unknown", parts=parts)
 
 
-def _draw_response(subject: _Subject, path: Path, split: str, say: Say) -> list[Path]:
+def _draw_response(subject: _Subject, path: Path, split: str, say: Say) -> None:
     """The figure, where there is a response curve and a package to draw it."""
     learned = learned_response(subject.renderer)
     if learned is None:
-        return []
+        return
     try:
         write_response_figure(path, learned, subject.scene, split)
     except PackageMissingError as error:
         say(Text(f"{path.name} left out: {error}", style="yellow"))
-        return []
-    return [path]
 
 
-def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: Say) -> list[Path]:
+def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: Say) -> None:
     """Print and write the table of ``subjects``, each with the folder of its evaluation, and their sheet."""
     names = _names([subject for subject, _ in subjects])
     scene = subjects[0][0].scene
@@ -225,7 +230,6 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: 
     }
     sheet = method_sheet(renderers, scene, split=split, without_hdr=without, scales=scales, falloffs=falloffs)
     write_png(paths[-1], sheet)
-    return paths
 
 
 def _falloff(subject: _Subject, split: str, evaluation: dict[str, Any]) -> Falloff | None:

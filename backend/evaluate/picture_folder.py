@@ -8,18 +8,16 @@ the true radiance for HDR (``test_hdr/hdr_000.exr``), that of the relit truth un
 """
 
 import os
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from ...bridge.atomic import REMEDY, patiently
+from ...bridge.atomic import all_at_once
 from ...bridge.data_set import TEST
-from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, OutputError, PhysHDRError
+from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
 from ...bridge.lights import AMBIENT, Levels, as_levels
 from ...bridge.regular import resolved
 from ..scene.camera import Camera
@@ -33,8 +31,6 @@ from .results import VIEWS_OF
 
 MEND = "Write it again: it is called, and as large, as the data set's own picture; docs/compare.md says more."
 ALL_OR_NONE = "Write it, or none of its kind: a mean over some of the views compares with no other."
-#: The folder of pictures that are not all written yet, in theirs.
-UNFINISHED = ".unfinished"
 #: Of a 16-bit picture.
 DEEP = float(LARGEST[np.dtype(np.uint16)])
 
@@ -230,7 +226,7 @@ def write_pictures(
     relit = truth.relit_truth(scene.root) if split == TEST else []
     views, count = scene.splits[split], 0
     _require_none_stays(renderer, scene, folder, views, relit)
-    with _all_at_once(folder) as place_for:
+    with all_at_once(folder) as unfinished:
         for done, view in enumerate(views):
             progress(done, len(views), view.name)
             places = [k for k, encoding in enumerate(view.encodings) if not encoding.is_known]
@@ -238,8 +234,8 @@ def write_pictures(
             drawn = renderer.ldr_bracket(view.camera, exposures) if places else ()
             for k, picture in zip(places, drawn, strict=True):
                 codes = finite(picture, view.name).clamp(0.0, 1.0).double() * DEEP
-                path = (folder / name_in(scene, view.sources[k].path)).with_suffix(".png")
-                write_png(place_for(path), _planes_last(codes.round()).astype(np.uint16))
+                path = (unfinished / name_in(scene, view.sources[k].path)).with_suffix(".png")
+                write_png(path, _planes_last(codes.round()).astype(np.uint16))
             conditions = [item for item in relit if item.index == view.index]
             conditions = [item for item in conditions if item.can_be_shown(renderer.lights)]
             radiance = {hdr_path(scene, split, view): renderer.hdr(view.camera)}
@@ -247,37 +243,10 @@ def write_pictures(
                 item.path: renderer.hdr(view.camera, item.levels_of(renderer.lights)) for item in conditions
             }
             for path, picture in radiance.items():
-                path = folder / name_in(scene, path)
-                write_exr(place_for(path), _planes_last(finite(picture, view.name)))
+                write_exr(unfinished / name_in(scene, path), _planes_last(finite(picture, view.name)))
             count += len(places) + len(radiance)
     progress(len(views), len(views), "")
     return count
-
-
-@contextmanager
-def _all_at_once(folder: Path) -> Iterator[Callable[[Path], Path]]:
-    """Says of a path in ``folder`` where to write what takes its place if the block ends without an error.
-
-    Raises ``OutputError`` where a file cannot take its place; those before it have taken theirs.
-    """
-    unfinished, places = folder / UNFINISHED, dict[Path, Path]()
-
-    def place_for(path: Path) -> Path:
-        written = unfinished / f"{len(places)}{path.suffix}"
-        places[written] = path
-        return written
-
-    shutil.rmtree(unfinished, ignore_errors=True)  # of one that was killed
-    try:
-        yield place_for
-        for written, path in places.items():
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                patiently(partial(written.replace, path))
-            except OSError as error:
-                raise OutputError(f"cannot write {path}: {error.strerror or error}", REMEDY) from error
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _require_none_stays(

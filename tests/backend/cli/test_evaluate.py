@@ -16,6 +16,7 @@ from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.runs.run import Run
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.config import TrainConfig
+from physhdr.bridge.errors import OutputError
 
 
 class Grey(Renderer):
@@ -215,3 +216,20 @@ def test_all_views_are_rendered_as_they_are_evaluated(trained, tiny_data, tmp_pa
     assert "has no validation views" in capsys.readouterr().err
     assert main([*render, str(tiny_data)]) == 1
     assert "is the data set" in capsys.readouterr().err and not (tmp_path / "a").exists()
+
+
+def test_on_a_full_disk_the_evaluation_that_was_there_stays_whole(opened, tmp_path, monkeypatch, capsys):
+    """New numbers beside old pictures would be taken for one evaluation."""
+    out = tmp_path / "results"
+    call = ["evaluate", str(tmp_path / "run"), "--out", str(out)]
+    assert main(call) == 0
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    opened["run"] = {"iteration": 7}
+
+    def full(path, _):
+        raise OutputError(f"cannot write {path}: No space left on device", "Free some space.")
+
+    monkeypatch.setattr(command, "write_png", full)
+    assert main(call) == 1
+    assert "No space left" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.iterdir()} == before

@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 
 from physhdr.backend.evaluate import truth
-from physhdr.backend.evaluate.picture_folder import UNFINISHED, PictureFolder, write_pictures
+from physhdr.backend.evaluate.picture_folder import PictureFolder, write_pictures
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.report import to_dict
@@ -26,6 +26,7 @@ from physhdr.backend.scene import Scene, read_scene
 from physhdr.backend.scene.color_space import SPACES, Chromaticities
 from physhdr.backend.scene.encoding import LogEncoding
 from physhdr.backend.scene.pictures import read_exr
+from physhdr.bridge.atomic import UNFINISHED
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 from physhdr.bridge.lights import as_levels
 
