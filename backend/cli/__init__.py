@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Any
 
+from ...bridge.errors import FileMissingError
 from ...bridge.regular import require_text
 from ..memory import refuse_too_few_addresses
 from ..project import requirements, version
@@ -37,6 +38,7 @@ def main(argv: list[str] | None = None) -> int:
         refuse_too_few_addresses()  # before any library is loaded, which would end the process in its own way
         for word in argv:
             require_text(word)
+        _require_working_folder()  # without one, libraries end the process in their own way, too
         if argv[:1] == ["check"]:
             from .check import main as check  # before any import that could fail: finding out is its task
 
@@ -57,6 +59,16 @@ def main(argv: list[str] | None = None) -> int:
         if not _tells_programs(argv, told):
             _complain(f"error: {told}")
         return 1
+
+
+def _require_working_folder() -> None:
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise FileMissingError(
+            f"the folder that this command is called in is not there any more: {error.strerror}",
+            "Go to another one (cd), and call again.",
+        ) from error
 
 
 def _answered(argv: list[str]) -> int:

@@ -14,6 +14,7 @@ from types import TracebackType
 
 from ...bridge.errors import OutputError
 from ..train import events
+from ..train.checkpoint import how_to_go_on
 from .terminal import TrainingBar
 
 LOG_FILE = "log.jsonl"
@@ -72,7 +73,7 @@ class EventLog:
             remedy = "Free some space on its disk" if full else "Make it writable"
             raise OutputError(
                 f"cannot write {path}: {error.strerror or error}",
-                f"{remedy}, then resume the training.",
+                f"{remedy}, then {how_to_go_on(self.folder)}.",
             ) from error
 
     def _thread_failed(self, failed: threading.ExceptHookArgs) -> None:

@@ -23,6 +23,7 @@ from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingErr
 from ...bridge.lights import check_lights
 from ...bridge.limits import LOG_RADIANCE_MAX
 from ...bridge.regular import LONGEST_HEADER, parse_json
+from ...bridge.run_folder import CHECKPOINT_FILE
 from ..methods.base import Responses
 
 FORMAT = "physhdr-checkpoint"
@@ -49,6 +50,13 @@ class Reached:
     cpu_seconds: float
 
 
+def how_to_go_on(folder: Path) -> str:
+    """What to do with the training in ``folder`` once it can be written: resume it, where it was saved."""
+    if (folder / CHECKPOINT_FILE).exists():
+        return "resume the training: what was saved before is untouched"
+    return "start the training again: nothing of it was saved yet"
+
+
 def save_checkpoint(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
     """Write the tensors; an older file at ``path`` survives until the new one is whole.
 
@@ -58,7 +66,7 @@ def save_checkpoint(path: Path, tensors: dict[str, torch.Tensor], metadata: dict
     metadata = {"format": FORMAT, "version": str(VERSION), **metadata}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     metadata[DIGEST] = digest_of(tensors, metadata)
-    remedy = "Free some space, then resume the training. What was saved before is untouched."
+    remedy = f"Free some space, then {how_to_go_on(path.parent)}."
     try:
         with atomic_path(path, remedy=remedy) as temporary:
             try:

@@ -378,3 +378,12 @@ def test_more_threads_than_any_library_survives_are_refused(words, tmp_path, cap
 def test_a_render_too_large_for_any_memory_is_refused(run, tmp_path, capsys):
     message = fails(capsys, "render", run, "--out", tmp_path / "x.exr", "--width", "10000000")
     assert "too large" in message and "smaller width" in message
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no folder that a process is in")
+def test_a_working_folder_that_is_gone_is_named(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    command = f"rmdir {shlex.quote(str(gone))}; {shlex.join([sys.executable, '-c', MAIN])} inspect data"
+    done = subprocess.run(["sh", "-c", command], cwd=gone, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "called in is not there" in done.stderr

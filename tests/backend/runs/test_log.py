@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from physhdr.backend.runs.log import LOG_FILE, TENSORBOARD_FOLDER, EventLog
+from physhdr.backend.train.checkpoint import how_to_go_on
 from physhdr.backend.train.events import Progress, Saved
 from physhdr.bridge.errors import OutputError
 
@@ -34,7 +35,7 @@ def test_a_log_that_cannot_be_written_is_named_and_can_be_closed(tmp_path):
     (tmp_path / LOG_FILE).symlink_to(FULL_DISK)
     with pytest.raises(OutputError, match=LOG_FILE) as caught, EventLog(tmp_path) as log:
         log.show(SAVED)
-    assert caught.value.hint == "Free some space on its disk, then resume the training."
+    assert caught.value.hint == f"Free some space on its disk, then {how_to_go_on(tmp_path)}."
 
 
 def test_tensorboard_that_cannot_be_written_is_named_and_tells_it_once(tmp_path, capfd, monkeypatch):
@@ -63,3 +64,9 @@ def test_what_tensorboard_cannot_write_at_its_end_is_not_lost_in_silence(tmp_pat
             log.show(PROGRESS)  # its thread notices now or when it ends
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_what_was_saved_is_to_be_resumed_and_nothing_else(tmp_path):
+    assert how_to_go_on(tmp_path).startswith("start the training again")
+    (tmp_path / "checkpoint.safetensors").touch()
+    assert how_to_go_on(tmp_path).startswith("resume the training")
