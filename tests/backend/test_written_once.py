@@ -48,3 +48,15 @@ def test_a_splats_limit_is_given_its_value_in_one_place(nodes, name: str) -> Non
 @pytest.mark.parametrize("number", CURVE)
 def test_a_number_of_the_srgb_curve_stands_in_one_place(nodes, number: float) -> None:
     assert {p for p, node in nodes if number in numbers_of(node)} == {"bridge/srgb.py"}
+
+
+def test_no_path_of_a_users_is_resolved_by_pathlib() -> None:
+    """Before Python 3.13 it raises RuntimeError of links in a loop; ``bridge.regular.resolved`` does not."""
+    own = re.compile(r"Path\(__file__\)\.resolve\(\)")
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for room in ROOMS
+        for path in (ROOT / room).rglob("*.py")
+        if ".resolve(" in own.sub("", path.read_text(encoding="utf-8"))
+    }
+    assert found == set()

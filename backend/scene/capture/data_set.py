@@ -58,6 +58,8 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
     command made all that is in it.
     """
     out = resolved(out)
+    if out.is_symlink():
+        raise OutputError(f"{out} is a link that leads to itself", "Delete it, or give another folder.")
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file", "Give a folder that is not there yet.")
     if os.path.ismount(out):  # what lies beside it is another file system
