@@ -91,6 +91,8 @@ class Curves:
 
 def _progress(line: str) -> tuple[int, dict[str, float], dict[str, float]] | None:
     """Iteration, losses and monitor of a progress event; None for others and for what cannot be read."""
+    if '"progress"' not in line:  # a log of nothing but line ends would take 5 s a megabyte
+        return None
     try:
         match json.loads(line):
             case {"event": "progress", "iteration": int(iteration), "losses": {**losses}, **rest}:

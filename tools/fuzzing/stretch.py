@@ -154,6 +154,6 @@ def _png(whole: bytes, size: int, generator: random.Random) -> bytes:
     kind, payload = generator.choice(sorted(chunks.items()))
     times = 1
     if kind == b"many":
-        kind, payload, times = b"tEXt", b"a\0b", size // 15
+        kind, payload, times = b"tEXt", b"a\0" + b"b" * 30, size // 44
     chunk = struct.pack(">I", len(payload)) + kind + payload + struct.pack(">I", zlib.crc32(kind + payload))
     return whole[:33] + chunk * times + whole[33:]

@@ -3,6 +3,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -49,3 +50,12 @@ def test_a_log_that_is_none(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "log.jsonl")
     for path in (tmp_path / "log.jsonl", tmp_path, tmp_path / "gone"):
         assert history_of(path).iterations == ()
+
+
+def test_a_log_of_line_ends_takes_no_time(tmp_path: Path) -> None:
+    """5 s a megabyte, each of which was the error of a line that is no JSON."""
+    lines = [json.dumps(GOOD | {"iteration": iteration}) for iteration in (1, 2)]
+    (tmp_path / "log.jsonl").write_text(("\n" * 2_000_000).join(lines))
+    begun = time.process_time()
+    assert history_of(tmp_path / "log.jsonl").iterations == (1, 2)
+    assert time.process_time() - begun < 3.0
