@@ -470,6 +470,23 @@ def test_a_path_that_fails_a_job_later_is_told_with_a_remedy(backend, enter, who
     assert failed.failure.hint.startswith("Make it writable, then start the training again")
 
 
+def test_links_that_lead_to_themselves(backend, enter, refusal, tiny_data, tmp_path):
+    """The server said "a bug in PhysHDR" of the RuntimeError that pathlib raises."""
+    (tmp_path / "loop").symlink_to("loop")
+    loop, peer = tmp_path / "loop", enter(backend)
+    for request in (
+        start_of(tiny_data, loop / "run"),
+        start_of(loop, tmp_path / "run"),
+        TrainResume(run=str(loop)),
+        RunOpen(run=str(loop)),
+    ):
+        failure = refusal(peer, request)
+        assert "loop" in failure.message and "bug" not in failure.message, failure
+    peer.ask(start_of(tiny_data, loop))  # taken on: there is no run
+    failure = peer.wait_for("failed", "finished").failure
+    assert failure.code == "output" and "loop" in failure.message and failure.hint
+
+
 def test_a_run_whose_data_have_moved_opens_with_their_new_place(backend, enter, refusal, tiny_data, tmp_path):
     moved = tmp_path / "moved"
     shutil.copytree(tiny_data, moved)
