@@ -138,7 +138,7 @@ def remove_leftovers(path: Path, older_than: float = 0.0) -> None:
     writes ``path`` now.
     """
     begin, end, mark = (re.escape(each) for each in (f".{_stem(path)}-", path.suffix, MARK))
-    ours = re.compile(f"{begin}[a-z0-9_]{{8}}({mark})?{end}")  # earlier versions' have no mark
+    ours = re.compile(f"{begin}[a-f0-9]{{8}}{mark}{end}")
     with contextlib.suppress(OSError):  # a folder that cannot be listed has nothing to tidy
         for entry in os.scandir(path.parent):
             if ours.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):

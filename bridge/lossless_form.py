@@ -65,11 +65,6 @@ def form_of(comments: Sequence[str], columns: Iterable[str]) -> tuple[str, str] 
         words = line.split()
         if len(words) == 3 and words[0] == FORM:
             return words[1], words[2]
-    # Files of before there was that line: networks are named after what they are part of.
-    networks = [line.split()[1] for line in comments if line.startswith(NETWORK + " ")]
-    if networks:
-        learned = [any(name.startswith(part) for name in networks) for part in ("composer.", "modulator.")]
-        return ("learned" if learned[0] else "product"), ("learned" if learned[1] else "additive")
     words = words_of(FORM, columns)
     return (words[0], words[1]) if words is not None and len(words) == 2 else None
 

@@ -28,7 +28,7 @@ import numpy as np
 from .errors import PhysHDRError
 
 #: Both sides must speak the same version; it changes whenever a message does.
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 1
 #: Text frames larger than this are refused: requests are small.
 TEXT_BYTES_MAX = 1 << 20
 #: Pixels of a preview along a side, and in all. A view may have more: it is asked for on fewer.

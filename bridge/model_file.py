@@ -35,8 +35,7 @@ WORKING_SPACE = "Linear Rec.709"
 DARKEST = 1e-6
 
 Modulator = Literal["additive", "baked-levels"]
-#: The modulator of a file whose lights are others than the ambient one alone: a PhysHDR of before there were
-#: any refuses it as a newer one's.
+#: The modulator of a file whose lights are others than the ambient one alone.
 ADDITIVE_LIGHTS = "additive-lights"
 #: So far may the shares of all lights add up to more than 1: rounding.
 SHARE_SLACK = 1e-5
@@ -58,7 +57,7 @@ REQUIRED = ("position", "rotation", "scale", "opacity", "log_radiance_sh")
 #: What a file may have after its light.
 _BESIDE_LIGHT = ("tone_curve_log_exposure", "tone_curve", "confidence")
 #: The tensor in a file that only the modulator it belongs to has. Where the ambient light is the only one
-#: its share is written without the axis C, as it was before there were others.
+#: its share is written without the axis C.
 LIGHT_TENSORS = {
     "additive": "ambient_share",
     ADDITIVE_LIGHTS: "light_share",

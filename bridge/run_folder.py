@@ -68,10 +68,7 @@ def picture_names(folder: Path) -> list[str]:
 
 
 def may_be_of(folder: Path, data: Path) -> bool:
-    """Whether ``data`` can be the data set of the run in ``folder``: its first and last pictures are there.
-
-    True as well where the run, an earlier version's, does not say what they are called.
-    """
+    """Whether ``data`` can be the data set of the run in ``folder``: its first and last pictures exist."""
     names = picture_names(folder)
     asked = dict.fromkeys([*names[: ASKED // 2], *names[-ASKED // 2 :]])
     try:

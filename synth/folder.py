@@ -146,21 +146,10 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
             for key in differing
         ]
         remedy = "choose another folder (--out), or delete that one (nothing was changed)"
-        if differing == [FINGERPRINT] and _kind(earlier) != _kind(options):
-            raise ConflictError(
-                f"'{folder}' was begun by a version of this program that kept less of how the scene was: "
-                "whether it is the same still cannot be told",
-                remedy,
-            )
         if differing == [FINGERPRINT]:
             told = ["the scene, its lights or its camera have changed since"]
         raise ConflictError(f"'{folder}' holds a data set made with other options: {'; '.join(told)}", remedy)
     return state
-
-
-def _kind(options: dict[str, Any]) -> str:
-    """What stands before the digits of a scene's state: what was taken into it."""
-    return str(options.get(FINGERPRINT)).rpartition("-")[0]
 
 
 def _told(maker: Any) -> str:

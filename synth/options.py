@@ -30,7 +30,7 @@ REFERENCE_FACTOR = 2
 #: The height of a resolution that follows the aspect of the user's scene.
 FOLLOW = 0
 #: Options that are left out of what is remembered where they are not used.
-_LATER = ("test_samples", "reference_samples", "validation_views")
+_OPTIONAL = ("test_samples", "reference_samples", "validation_views")
 #: The value of ``--scene`` that means every built-in one.
 ALL = "all"
 #: The value of ``from_file`` that means the file that is open.
@@ -249,7 +249,7 @@ class Options:
         if not self.light_choices:
             del values["light_choices"]
         values["assets"] = self.assets is not None
-        for name in _LATER:  # else the folders of before would not be gone on with
+        for name in _OPTIONAL:
             if values[name] == getattr(Options, name):
                 del values[name]
         if not self.from_file:

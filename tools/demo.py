@@ -44,7 +44,7 @@ def main() -> int:
     begun = time.perf_counter()
 
     workers = min(8, os.cpu_count() or 1)  # pictures as small as these keep one core busy each
-    if (data / "dataset.json").is_file():  # whole; an earlier version's would not be gone on with
+    if (data / "dataset.json").is_file():
         say("1/6 render the data set: done already")
     else:
         step(

@@ -11,7 +11,7 @@ evaluation, an export, a picture.
 
 import json
 import os
-import shutil
+import runpy
 import subprocess
 import sys
 import sysconfig
@@ -22,8 +22,8 @@ from pathlib import Path
 
 from build_dist import ROOT, BuildError, build
 
-#: Six training and three test views of 32×32 pixels, which every version must be able to read.
-DATA = ROOT / "tests" / "fixtures" / "e7440a3" / "data"
+#: Writes a data set of 32×32 pixels.
+WRITER = ROOT / "tests" / "backend" / "tiny_scene.py"
 #: Asked of the new environment: which copy is imported, and what its metadata say.
 ASK = """
 import importlib.metadata, json, physhdr
@@ -65,7 +65,8 @@ def attempt(folder: Path) -> str:
     (site / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
 
     work = folder / "work"
-    shutil.copytree(DATA, work / "data")
+    work.mkdir()
+    runpy.run_path(str(WRITER))["write_tiny_scene"](work / "data")
     file, version, recorded, licence = json.loads(call([python, "-c", ASK], work))
     if not Path(file).is_relative_to(environment):
         raise TrialError(f"not the installed package was imported, but {file}")

@@ -17,9 +17,9 @@ from ...bridge.errors import DataMismatchError
 from .. import similarity
 from ..blender import animated_paths, cloud_of, put_at, to_matrix, world_of
 from ..model import nodes
-from ..model.attributes import CAPTURE, FILE, TURN
+from ..model.attributes import CAPTURE, TURN
 from ..model.look import models_among
-from ..model.origin import capture_of, key_of
+from ..model.origin import capture_of
 from ..settings import SETTINGS
 
 if TYPE_CHECKING:
@@ -137,22 +137,13 @@ def remembered(scene: bpy.types.Scene, target: bpy.types.Object, now: np.ndarray
         found = captures.add()
         found.name = capture
         found.original = now.reshape(-1)
-        if TURN in cloud_of(target):
-            found.turn = cloud_of(target)[TURN]
+        found.turn = cloud_of(target).get(TURN, 0.0)
     return found
 
 
 def _turn_between(known: "PHYSHDR_Capture", target: bpy.types.Object) -> np.ndarray:
-    """``[4, 4]``: from the axes of a model's file to those of the file by which its capture was first set.
-
-    What earlier versions imported says nothing of its turn, and stays as it is; what they remember of a
-    capture that is a file is of a model with that file's turn.
-    """
-    cloud = cloud_of(target)
-    is_own_file = known.name == key_of(str(cloud.get(FILE, "")))
-    if TURN not in cloud or (is_own_file and not known.is_property_set("turn")):
-        return np.eye(4)
-    return _about_x(cloud[TURN] - known.turn)
+    """``[4, 4]``: from the axes of a model's file to those of the file by which its capture was first set."""
+    return _about_x(cloud_of(target).get(TURN, 0.0) - known.turn)
 
 
 def _about_x(angle: float) -> np.ndarray:

@@ -52,11 +52,11 @@ def warnings_of(probe: bpy.types.Object, model: bpy.types.Object) -> list[str]:
 
 def _is_edited(probe: bpy.types.Object, model: bpy.types.Object) -> bool:
     """Whether the model draws something else than when the light was taken; in Edit Mode its number of
-    Gaussians alone tells, and for probes of older versions."""
+    Gaussians alone tells."""
     cloud = cloud_of(model)
     if known(probe).gaussians != len(cloud.points):
         return True
-    if DRAWN not in probe or model.mode != "OBJECT":
+    if model.mode != "OBJECT":
         return False
     return _drawn_now(cloud) != probe[DRAWN]
 
@@ -83,9 +83,8 @@ def _hidden(model: bpy.types.Object) -> str:
         cleaning.largest_elongation,
         cleaning.largest_distance,
         cleaning.clear_of_photos,
+        cleaning.smallest_confidence,
     )
-    if cleaning.smallest_confidence > 0.0:  # said only then: probes of before there was any stay valid
-        limits = (*limits, cleaning.smallest_confidence)
     # The box in the model's space: numbers that change when a finger moves it, not when the model is moved.
     box = [] if cleaning.crop is None else [round(number, 4) for number in cleaning.crop]
     return json.dumps([box, cleaning.keep_outside, *limits])

@@ -58,8 +58,6 @@ KEPT_RADIUS = Attribute("physhdr:radius", "FLOAT")
 LOG_SH = Numbered("physhdr:log_sh_", "FLOAT_VECTOR")
 #: The share of the radiance that a light causes, by the light's place in ``LIGHTS``.
 LIGHT_SHARE = Numbered("physhdr:light_share_", "FLOAT_VECTOR")
-#: The ambient light's share in .blend files of before there were other lights.
-OLD_SHARE = Attribute("physhdr:ambient_share", "FLOAT_VECTOR")
 #: ln of the gain at each of a baked-levels model's ``LEVELS``.
 LEVEL_LOG_GAIN = Numbered("physhdr:level_log_gain_", "FLOAT_VECTOR")
 #: How likely the radiance is right, 0 to 1 (``bridge.confidence``); of models whose file has it.

@@ -107,7 +107,7 @@ _CONFIDENCE = Input(
     nodes.SMALLEST_CONFIDENCE,
     "Float",
     "Hide Gaussians whose radiance is less likely than this to be within a tenth of a stop of the true "
-    "one: what the photos clip, starve or hardly see. Models of older files do not know it",
+    "one: what the photos clip, starve or hardly see. Not every model has it",
     _SHARE,
 )
 

@@ -16,7 +16,6 @@ from .attributes import (
     LEVEL_LOG_GAIN,
     LIGHT_SHARE,
     LOG_SH,
-    OLD_SHARE,
     POSITION,
     ROTATION,
     SCALE,
@@ -27,7 +26,7 @@ from .point_cloud import attributes_of, read_attribute
 #: The names of attributes that radiance is drawn by. Of ``BASE`` the opacity alone is: its colours, and the
 #: confidence, are of other views.
 _DRAWN = re.compile(
-    "|".join(re.escape(each.name) for each in (POSITION, SCALE, ROTATION, BASE, OLD_SHARE))
+    "|".join(re.escape(each.name) for each in (POSITION, SCALE, ROTATION, BASE))
     + "|("
     + "|".join(re.escape(each.prefix) for each in (LOG_SH, LIGHT_SHARE, LEVEL_LOG_GAIN))
     + r")\d+"
@@ -56,7 +55,6 @@ def _told(attributes: Iterable[tuple[str, np.ndarray]]) -> str:
     sums = {}
     for name, values in attributes:
         counting = values[..., 3:] if name == BASE.name else values
-        name = LIGHT_SHARE[0].name if name == OLD_SHARE.name else name
         sums[name] = f"{zlib.crc32(np.asarray(counting, np.float32).tobytes()):08x}"
     return f"{zlib.crc32(repr(sorted(sums.items())).encode()):08x}"
 

@@ -101,8 +101,8 @@ def _same_folder(one: str, other: str, second: int) -> bool:
 def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Look:
     """The look of a model: its values now, or with ``depsgraph`` as evaluated there (a frame being rendered).
 
-    A model whose modifier was removed has the look it was captured with; a light that the modifier knows
-    nothing of (an older one's) is at 1. Raises ``DataMismatchError`` as ``lights_of`` does.
+    A model whose modifier was removed has the look it was captured with. Raises ``DataMismatchError`` as
+    ``lights_of`` does.
     """
     lights = lights_of(cloud_of(target))
     values = _values(target, (*inputs(lights), *nodes.CLEANING, *nodes.CULLING), depsgraph)
@@ -118,7 +118,7 @@ def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = No
 
 
 def cleaning_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Cleaning:
-    """What of a model is hidden, as ``look_of``; nothing where its modifier is an older one, or removed."""
+    """What of a model is hidden, as ``look_of``; nothing where its modifier was removed."""
     values = _values(target, (*nodes.CLEANING, *nodes.CULLING), depsgraph)
     return _cleaning(target, values, depsgraph)
 

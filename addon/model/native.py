@@ -13,16 +13,15 @@ import math
 from typing import Any, cast
 
 import bpy
-import numpy as np
 
 from ...bridge import native_splats
 from ...bridge.errors import DataMismatchError
 from ...bridge.splatting import ALPHA_MIN
 from ..blender import cloud_of, marked_when_whole, sample_as_no_lamp
-from .attributes import BASE, COLOR_SPACE, DISPLAY, LOG_SH, RADIANCE, SCALE, SHOWN_SH
+from .attributes import BASE, DISPLAY, RADIANCE, SCALE
 from .node_builder import Field, GeometryBuilder, NodeBuilder
 from .nodes import CAMERA_SPLATS, MARK, find_modifier
-from .point_cloud import model_of, read_attribute, read_numbered, write_attribute
+from .point_cloud import model_of, read_attribute, write_attribute
 from .radiance_tree import add_modifier
 
 #: The first Blender that draws splats itself.
@@ -54,8 +53,8 @@ def is_native(cloud: bpy.types.PointCloud) -> bool:
 def convert(target: bpy.types.Object) -> None:
     """Let Blender draw an imported model itself: its type, its nodes, colours and sizes that it packs.
 
-    Of a model of an older version, too, and one whose modifier was removed. Raises ``DataMismatchError``
-    where the model was edited into something else.
+    Also of one whose modifier was removed. Raises ``DataMismatchError`` where the model was edited into
+    something else.
     """
     prepare(target)
     _set_type(cloud_of(target), SPLATS)
@@ -83,7 +82,6 @@ def revert(target: bpy.types.Object) -> None:
 def prepare(target: bpy.types.Object) -> None:
     """All of ``convert`` that any Blender can do: everything but the type."""
     cloud = cloud_of(target)
-    renew_colours(cloud)
     scale = read_attribute(cloud, SCALE.name)
     packed = native_splats.packable(scale)
     if packed is not scale:
@@ -96,27 +94,6 @@ def prepare(target: bpy.types.Object) -> None:
         cloud.materials.clear()
         cloud.materials.append(material)
     _display(target, "NODES")
-
-
-def renew_colours(cloud: bpy.types.PointCloud) -> None:
-    """Write the colours that Blender shows without our material: older versions left linear radiance there.
-
-    Those of another program's PLY stay as its file has them.
-    """
-    if COLOR_SPACE in cloud:
-        return
-    sh = read_numbered(cloud, LOG_SH)
-    if not sh or BASE.name not in cloud.attributes:
-        raise DataMismatchError(
-            f"the point cloud {cloud.name!r} is no PhysHDR model",
-            "Choose an imported model, or import it again.",
-        )
-    shown = native_splats.shown_sh(np.stack(sh, axis=1))
-    base = read_attribute(cloud, BASE.name)
-    base[:, :3] = shown[:, 0]
-    write_attribute(cloud, BASE, base)
-    for k in range(1, shown.shape[1]):
-        write_attribute(cloud, SHOWN_SH[k - 1], shown[:, k])
 
 
 def native_tree(tree: bpy.types.NodeTree) -> bpy.types.NodeTree:

@@ -93,5 +93,5 @@ def input_identifier(modifier: bpy.types.Modifier, name: str) -> str:
 
 
 def has_input(modifier: bpy.types.Modifier, name: str) -> bool:
-    """Whether the modifier's tree has that input: older trees, or those without a response, lack some."""
+    """Whether the modifier's tree has that input: some exist only with a response or with lights."""
     return name in identifiers(modifier)

@@ -26,7 +26,6 @@ from .attributes import (
     LIGHTS,
     LOG_SH,
     MODULATOR,
-    OLD_SHARE,
     POSITION,
     ROTATION,
     SCALE,
@@ -141,10 +140,7 @@ def lights_of(cloud: bpy.types.PointCloud) -> tuple[str, ...]:
 
 def read_shares(cloud: bpy.types.PointCloud) -> list[np.ndarray]:
     """``[N, 3]`` float32 shares of each of ``lights_of(cloud)``; ``KeyError`` where one is missing."""
-    count = len(lights_of(cloud))
-    if count == 1 and LIGHT_SHARE[0].name not in cloud.attributes and OLD_SHARE.name in cloud.attributes:
-        return [read_attribute(cloud, OLD_SHARE.name)]
-    return [read_attribute(cloud, LIGHT_SHARE[index].name) for index in range(count)]
+    return [read_attribute(cloud, LIGHT_SHARE[index].name) for index in range(len(lights_of(cloud)))]
 
 
 def read_levels(cloud: bpy.types.PointCloud) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
-from ..blender import cloud_of, curves_of, marked_when_whole
+from ..blender import marked_when_whole
 from .attributes import BASE, FIXED_PART, LEVEL_LOG_GAIN, LIGHT_SHARE, LOG_SH, RADIANCE, SCALE, light_part
 from .cleaning_nodes import clean, declare_cleaning
 from .node_builder import Field, GeometryBuilder
@@ -32,18 +32,14 @@ from .nodes import (
     SH_DEGREE,
     TONE_MAPPER,
     VIEW_DEPENDENT,
-    get_input,
-    identifiers,
     level_input,
-    set_input,
 )
-from .point_cloud import model_of, read_tone_curve, write_attribute
 from .response_nodes import learned_response
 from .splat_nodes import camera_fields, draw
 from .tone_curve import ToneCurve
 
 #: The version of this recipe, part of what marks a tree.
-_RECIPE = 8
+_RECIPE = 1
 
 
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModifier:
@@ -55,35 +51,6 @@ def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModif
         curve = ToneCurve(model.tone_curve_log_exposure, model.tone_curve)
     modifier.node_group = radiance_tree(model.sh_degree, model.levels, curve, model.lights)
     return modifier
-
-
-def update_modifier(target: bpy.types.Object, modifier: bpy.types.NodesModifier) -> list[str]:
-    """Give a modifier of an older PhysHDR this version's tree. The values of its inputs stay, by labels.
-
-    The labels of those inputs that something animates and that have another place in the new tree: their
-    keyframes and drivers lead nowhere. Raises ``DataMismatchError`` where the cloud is no model any more.
-    """
-    cloud = cloud_of(target)
-    model = model_of(cloud)
-    if (
-        model.light_share is not None and LIGHT_SHARE[0].name not in cloud.attributes
-    ):  # before lights had names
-        for index in range(len(model.lights)):
-            write_attribute(cloud, LIGHT_SHARE[index], model.light_share[:, index])
-    curve = read_tone_curve(cloud)
-    before = identifiers(modifier)
-    values = {name: get_input(modifier, name) for name in before if name != "Geometry"}
-    modifier.node_group = radiance_tree(model.sh_degree, model.levels, curve, model.lights)
-    after = identifiers(modifier)
-    for name, value in values.items():
-        if name in after:
-            set_input(modifier, name, value)
-    animation = target.animation_data
-    if animation is None:
-        return []
-    paths = {each.data_path for each in [*animation.drivers, *curves_of(animation)]}
-    moved = [name for name in values if after.get(name) != before[name]]
-    return [name for name in moved if any(f".inputs.{before[name]}." in path for path in paths)]
 
 
 def radiance_tree(

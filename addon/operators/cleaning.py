@@ -20,7 +20,6 @@ from ..model.floaters import floaters
 from ..model.look import cleaning_of, is_model, kept_of
 from ..model.point_cloud import read_attribute, write_attribute
 from ..model.point_removal import keep_points, select_points, selection_of
-from ..model.radiance_tree import update_modifier
 from .base import OnModel
 
 #: What a crop box is fitted to: all but so much of the Gaussians at either end of each axis.
@@ -235,29 +234,6 @@ class PHYSHDR_OT_cleaning_box(_OnModel):
         return f"{box.name!r} crops the model: move, turn and scale it"
 
 
-class PHYSHDR_OT_cleaning_update(_OnModel):
-    """Give a model of an older PhysHDR the limits of this one; its exposure and levels stay"""
-
-    bl_idname = "physhdr.cleaning_update"
-    bl_label = "Update the Modifier"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        assert context.object is not None
-        if nodes.find_modifier(context.object) is None:
-            cls.poll_message_set("Its PhysHDR modifier was removed: import the model again")
-            return False
-        return True
-
-    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
-        modifier = nodes.find_modifier(target)
-        assert modifier is not None
-        lost = update_modifier(target, modifier)
-        return f"Updated. Animate these anew: {', '.join(lost)}" if lost else "The modifier is this version's"
-
-
 # ---- what the operators need -------------------------------------------------------------------------------
 
 
@@ -316,18 +292,15 @@ def _likely_limit(target: bpy.types.Object, by: str) -> float:
 
 
 def _modifier(target: bpy.types.Object) -> bpy.types.NodesModifier:
-    """The model's modifier, if it has this version's limits. Raises ``DataMismatchError``."""
+    """The model's modifier. Raises ``DataMismatchError`` where it was removed, or its inputs were."""
     modifier = nodes.find_modifier(target)
     if modifier is None or not nodes.has_input(modifier, nodes.CROP):
-        raise DataMismatchError(
-            "the model's modifier was removed, or is of an older PhysHDR",
-            "Update the modifier in Clean, or import the model again.",
-        )
+        raise DataMismatchError("the PhysHDR modifier was removed or edited", "Import the model again.")
     return modifier
 
 
 def _crop_box(modifier: bpy.types.NodesModifier) -> bpy.types.Object | None:
-    return nodes.get_input(modifier, nodes.CROP_BOX) if nodes.has_input(modifier, nodes.CROP_BOX) else None
+    return nodes.get_input(modifier, nodes.CROP_BOX)
 
 
 def _reset(target: bpy.types.Object) -> list[str]:
@@ -341,10 +314,8 @@ def _reset(target: bpy.types.Object) -> list[str]:
         paths |= {curve.data_path for curve in curves_of(animation)}
     off = {nodes.CROP: False, nodes.KEEP_OUTSIDE: False, nodes.CROP_BOX: None, nodes.DISTANCE_FROM: None}
     for name in nodes.CLEANING:
-        if nodes.has_input(modifier, name):  # an older tree lacks the newer ones
-            nodes.set_input(modifier, name, off.get(name, 0.0))
-    there = (name for name in nodes.CLEANING if nodes.has_input(modifier, name))
-    return [name for name in there if nodes.input_data_path(modifier, name) in paths]
+        nodes.set_input(modifier, name, off.get(name, 0.0))
+    return [name for name in nodes.CLEANING if nodes.input_data_path(modifier, name) in paths]
 
 
 _CLASSES = (
@@ -353,7 +324,6 @@ _CLASSES = (
     PHYSHDR_OT_cleaning_apply,
     PHYSHDR_OT_cleaning_measure,
     PHYSHDR_OT_cleaning_box,
-    PHYSHDR_OT_cleaning_update,
 )
 
 

@@ -71,8 +71,6 @@ class _Backend(Subpanel):
             told = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
             write(context, layout, told, "INFO")
             draw_extend(context, layout, state)
-        elif state.backend.missing is None:
-            write(context, layout, "Checked by an older version: check it before you prepare photos", "INFO")
 
 
 class PHYSHDR_PT_backend(_Backend, bpy.types.Panel):

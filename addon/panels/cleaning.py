@@ -97,8 +97,7 @@ class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):
         assert is_model(target)
         modifier = nodes.find_modifier(target)
         if modifier is None or not nodes.has_input(modifier, nodes.CROP):
-            write(context, layout, "This model's modifier is of an older PhysHDR, or was removed", "INFO")
-            layout.operator("physhdr.cleaning_update", icon="FILE_REFRESH")
+            write(context, layout, "Its PhysHDR modifier was removed or edited: import it again", "ERROR")
             _draw_find(layout)
             return
         _draw_crop(layout, modifier)
@@ -115,10 +114,7 @@ class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):
         else:
             layout.operator("physhdr.cleaning_measure", icon="DRIVER_DISTANCE")
         if CONFIDENCE.name in cloud.attributes:
-            if nodes.has_input(modifier, nodes.SMALLEST_CONFIDENCE):
-                _draw(column, modifier, nodes.SMALLEST_CONFIDENCE)
-            else:
-                layout.operator("physhdr.cleaning_update", icon="FILE_REFRESH")
+            _draw(column, modifier, nodes.SMALLEST_CONFIDENCE)
         _draw_count(context, layout, target)
         _draw_find(layout)
         layout.operator("physhdr.model_save", text="Save Edited Model…", icon="FILE_TICK")

@@ -88,8 +88,6 @@ def next_step(state: State, choices: Choices) -> str:
         return "Install the backend, or use a Python that has torch"
     if state.task(DATASET) or state.task(LOOK) or state.task(PHOTOS):
         return ""
-    if state.backend.missing is None and not state.active:
-        return "Check the backend: what this version needs was not looked for yet"
     job = state.job
     mine = is_of_file(job, choices)
     if state.link.barred:
@@ -271,8 +269,6 @@ def _or_look(choices: Choices, words: str) -> str:
 
 
 def _why_not_prepare(state: State, choices: Choices) -> str:
-    if state.backend.missing is None:
-        return "Check the backend first: this version needs packages that were not looked for"
     if state.backend.missing:
         return f"The backend lacks {', '.join(state.backend.missing)}: add what is missing"
     if not choices.photos:

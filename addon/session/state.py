@@ -70,13 +70,10 @@ class Backend:
         return bool(self.python and self.report)
 
     @property
-    def missing(self) -> tuple[str, ...] | None:
-        """What photos need and the check did not find, as pip takes it; None where nobody has looked.
-
-        An older version's check did not look for it.
-        """
-        told = self.report.get("missing")
-        return tuple(map(str, told)) if isinstance(told, list) else None
+    def missing(self) -> tuple[str, ...]:
+        """What photos need and the check did not find, as pip takes it."""
+        missing = self.report.get("missing")
+        return tuple(map(str, missing)) if isinstance(missing, list) else ()
 
 
 LinkStatus = Literal["off", "starting", "connecting", "connected"]

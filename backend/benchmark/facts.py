@@ -29,7 +29,7 @@ def scene_facts(
     read = {"data": data, "downscale": downscale, "color_space": color_space}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        if read.items() <= kept.items() and kept["facts"].keys() >= wanted:  # else an earlier version looked
+        if read.items() <= kept.items() and kept["facts"].keys() == wanted:
             return kept["facts"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # not looked at yet, or not readable: look again

@@ -23,7 +23,7 @@ from ..model.gaussians import Gaussians
 def parameter_columns(gaussians: Gaussians, lights: tuple[str, ...] = (AMBIENT,)) -> dict[str, np.ndarray]:
     """Every parameter as named ``phys_…`` columns ``[N]``, float32: ``phys_means_0`` …
 
-    Where the ambient light is the only one, its logits are called as before there were others.
+    Where the ambient light is the only one, its logits have a name of their own.
     """
     columns = {}
     for name, tensor in gaussians.parameters.items():

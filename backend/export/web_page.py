@@ -260,7 +260,7 @@ def hash_of(text: str) -> str:
 
 
 def files_of(html: str) -> set[str]:
-    """The names of the files that a page of ours, also an earlier version's, has beside it."""
+    """The names of the files that a page of ours has beside it."""
     told = re.search(r"^window\.MODEL_FACTS = (.*);$", html, re.MULTILINE)
     names = set(re.findall(r'<script src="([^"]*)"', html))
     if told is not None:

@@ -17,9 +17,8 @@ from ..export.web_page import remove_web_page
 from ..train.config import CONFIG_FILE
 from ..train.trainer import CHECKPOINT_FILE
 
-#: What the safetensors library calls a file that it is still writing, and how we called ours before each had
-#: a name of its own.
-UNFINISHED = re.compile(r"\.tmp[A-Za-z0-9]{6}|(checkpoint|config)\.partial")
+#: What the safetensors library calls a file that it is still writing.
+UNFINISHED = re.compile(r"\.tmp[A-Za-z0-9]{6}")
 
 
 def refuse_a_run(folder: Path) -> None:

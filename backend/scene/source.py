@@ -88,12 +88,9 @@ class PictureSource:
     @cached_property
     def key(self) -> Hashable:
         lens = None if self.lens is None else self.lens.key
+        profile = None if self.profile is None else self.profile.key
         key = (self.path, self.encoding, lens, self.mask_path, self.orientation)
-        key = (*key, self.alpha, self.color_space)
-        # Pictures without distortion that were kept before there were profiles are still right; those of
-        # radiance are not, of whose logarithm the mean was taken.
-        key = key if self.profile is None else (*key, self.profile.key)
-        return key if self.lens is None or self._radiance is None else (*key, "mean of radiance")
+        return (*key, self.alpha, self.color_space, profile)
 
     def read(self, reduction: Reduction | None = None) -> Decoded:
         """The picture, reduced; raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError``.

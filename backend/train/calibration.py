@@ -18,7 +18,7 @@ from ...bridge.errors import DataMismatchError, FileDamagedError
 from ...bridge.regular import read_json_object
 from ..methods.base import SplattingMethod
 from ..model.camera_effects import COEFFICIENTS
-from ..model.tone_mapper import MEASURED, ToneMapper
+from ..model.tone_mapper import ToneMapper
 
 FORMAT, VERSION = "physhdr-calibration", 1
 #: Every so many of the sampled response's rows are written, for people and other programs.
@@ -135,9 +135,7 @@ def use_response(method: SplattingMethod, calibration: Calibration, path: str) -
             "Calibrate from pictures of the same kind, such as the camera's own JPEGs.",
         )
     state = mapper.state_dict()
-    # Calibrations of before responses were measured are of curves that began as a line.
-    response = {name: torch.zeros_like(state[name]) for name in (MEASURED,) if name in state}
-    response |= calibration.response
+    response = calibration.response
     wanted: dict[str, Any] = {name: tuple(value.shape) for name, value in state.items()}
     given = {name: tuple(value.shape) for name, value in response.items()}
     if wanted != given:

@@ -202,18 +202,6 @@ def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-#: Settings that were added, where what was before is not their default: what it was.
-FORMERLY: dict[str, Any] = {
-    "config.merged_brackets": "off",
-    "config.initial_size_limit": 0.0,
-    "config.initial_thickness": 1.0,
-    "config.poses": PoseConfig(mode="off"),
-    "config.optimiser.rates_for": 0,
-}
-#: Settings by names they had before → as they are called now.
-RENAMED = {"ambient_share_logits": "light_share_logits"}
-
-
 class RunConfig(NamedTuple):
     """What ``config.json`` says. ``fingerprint``: of the configuration, as checkpoints name theirs."""
 
@@ -259,7 +247,7 @@ def fingerprint(config: TrainConfig) -> str:
 
 def fingerprint_of(values: Any) -> str:
     """SHA-256 of a configuration as ``config.json`` holds it, whatever the order of its settings."""
-    return hashlib.sha256(json.dumps(_renamed(values), sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def completed(values: Any) -> dict[str, Any]:
@@ -269,13 +257,6 @@ def completed(values: Any) -> dict[str, Any]:
     ``BadValueError`` for what is no configuration.
     """
     return json.loads(json.dumps(_values(_from_json(TrainConfig, values, "config"))))
-
-
-def _renamed(values: Any) -> Any:
-    """Settings by the names they have today."""
-    if not isinstance(values, dict):
-        return values
-    return {RENAMED.get(name, name): _renamed(value) for name, value in values.items()}
 
 
 def _values(config: TrainConfig) -> dict[str, Any]:
@@ -312,9 +293,9 @@ def _from_json(hint: Any, value: Any, where: str) -> Any:
 
 
 def method_of(value: Any, where: str = "method") -> MethodConfig:
-    """The settings of a method as ``config.json`` holds them; before they had a ``name``, it was PhysHDR.
+    """The settings of a method as ``config.json`` holds them; without a ``name``, PhysHDR's.
 
-    Raises ``ValueError``, and ``BadValueError`` for a method that there is not or that cannot be so.
+    Raises ``ValueError``, and ``BadValueError`` for a method that does not exist or cannot be so.
     """
     if not isinstance(value, dict):
         raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
@@ -326,12 +307,8 @@ def _dataclass(cls: type, values: dict[str, Any], where: str) -> Any:
     """A dataclass from what ``dataclasses.asdict`` gave; unknown names are refused, missing ones default."""
     hints = typing.get_type_hints(cls)
     arguments = {}
-    for written, value in values.items():
-        name = RENAMED.get(written, written)
+    for name, value in values.items():
         if name not in hints:
-            raise ValueError(f"there is no setting {where}.{written}")
-        arguments[name] = _from_json(hints[name], value, f"{where}.{written}")
-    for name in hints.keys() - arguments.keys():
-        if f"{where}.{name}" in FORMERLY:
-            arguments[name] = FORMERLY[f"{where}.{name}"]
+            raise ValueError(f"there is no setting {where}.{name}")
+        arguments[name] = _from_json(hints[name], value, f"{where}.{name}")
     return cls(**arguments)

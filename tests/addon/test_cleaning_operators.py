@@ -18,8 +18,6 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 from physhdr.addon.model import attributes, edited_model, floaters, look, nodes, point_cloud, point_removal  # noqa: E402
 from physhdr.addon.panels import cleaning as panel  # noqa: E402
 
-EARLIER = Path(__file__).parent.parent / "fixtures" / "e7440a3"
-
 
 @pytest.fixture
 def add(registered, make_model, write):
@@ -435,22 +433,3 @@ def test_the_panels_number_is_counted_anew_when_distances_are_measured_anew(add)
         counts.append(panel.hidden.of(target.data, wanted))
         assert counts[-1] == (distance < np.float32(0.5)).sum()
     assert counts[0] < counts[1]
-
-
-def test_a_model_of_an_earlier_version_gets_the_limits(registered):
-    bpy.ops.wm.open_mainfile(filepath=str(EARLIER / "model.blend"))
-    (target,) = (each for each in bpy.data.objects if look.is_model(each))
-    before, modifier = look.look_of(target), nodes.find_modifier(target)
-    assert before.cleaning.keeps_everything and not nodes.has_input(modifier, nodes.CROP)
-    bpy.context.view_layer.objects.active = target
-
-    def radiance() -> np.ndarray:
-        geometry = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
-        return point_cloud.read_attribute(geometry.instances_pointcloud(), "physhdr:radiance")
-
-    then = radiance()
-    bpy.ops.physhdr.cleaning_update()
-    np.testing.assert_allclose(radiance(), then, rtol=1e-5)
-    assert look.look_of(target) == before
-    nodes.set_input(modifier, nodes.SMALLEST_OPACITY, float(np.median(then[:, 3])))
-    assert 0.4 < len(radiance()) / len(then) < 0.6

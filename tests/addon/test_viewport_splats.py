@@ -17,7 +17,7 @@ from physhdr.addon.model.drawn import fingerprint  # noqa: E402
 from physhdr.addon.panels import illumination  # noqa: E402
 from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
-from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402
+from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
 from physhdr.bridge import confidence  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
@@ -337,29 +337,6 @@ def test_sliders_of_several_lights_reach_the_picture(registered, renderer, make_
     top = pictures[1].max()
     assert np.abs(pictures[0] - pictures[1]).max() < 2e-3 * top
     assert np.sqrt(np.mean((pictures[0] - pictures[1]) ** 2)) < 2e-4 * top
-
-
-def test_files_of_before_there_were_several_lights(registered, renderer, make_model, write):
-    """The attribute's former name is drawn, baked and looked up as the ambient light's."""
-    model = make_model(count=20)
-    target = as_before_lights(model_import.import_model(write(model)))
-    np.testing.assert_array_equal(read_arrays(target.data).light[0], model.light_share[:, 0])
-    back = point_cloud.model_of(target.data)
-    assert back.lights == ("ambient",)
-    np.testing.assert_array_equal(back.light_share, model.light_share)
-    target.physhdr_viewport = "SPLATS"
-    ((_, (item,)),) = groups().values()
-    assert item.levels == (1.0,)
-
-
-def as_before_lights(target):
-    """The point cloud's data as PhysHDR wrote it before there were other lights than the ambient one."""
-    cloud = target.data
-    share = point_cloud.read_attribute(cloud, attributes.LIGHT_SHARE[0].name)
-    cloud.attributes.remove(cloud.attributes[attributes.LIGHT_SHARE[0].name])
-    point_cloud.write_attribute(cloud, attributes.OLD_SHARE, share)
-    del cloud[attributes.LIGHTS]
-    return target
 
 
 @pytest.mark.parametrize("stated", ["pendant", '["a", "a"]', 3, '{"a": 1}'])

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How files of a data set are called: as docs/formats.md says, and back again."""
 
-import json
 import re
 from pathlib import Path
 
@@ -25,24 +24,6 @@ def test_the_names_are_those_of_the_documentation() -> None:
     for levels in ({"ambient": 0.25}, {"ambient": 4.0, "pendant": 0.25}):
         assert f"{data_set.mixture_folder(levels)}/{data_set.truth_file(3)}" in said
     assert {data_set.POINTS_FILE, data_set.INFO_FILE} <= said
-
-
-def test_the_names_are_those_of_a_data_set_of_an_earlier_version() -> None:
-    root = ROOT / "tests" / "fixtures" / "e7440a3" / "data_two_lights"
-    told = json.loads((root / data_set.INFO_FILE).read_text(encoding="utf-8"))
-    for split in (data_set.TRAIN, data_set.TEST, data_set.LIT):
-        assert data_set.has_split(root, split)
-        names = json.loads((root / data_set.exposure_file(split)).read_text(encoding="utf-8"))
-        for name in names:
-            parts = data_set.stem_and_place(name)
-            assert parts is not None and (root / data_set.picture_file(*parts)).is_file()
-            assert data_set.number_of(parts[0]) is not None
-    for entry in told["relit"]:
-        assert data_set.mixture_folder(entry["levels"]) == entry["folder"]
-        assert data_set.mixture_levels(entry["folder"]) == entry["levels"]
-    assert not data_set.has_split(root, data_set.VALIDATION)  # there were none then
-    assert data_set.mixture_folders(root) == sorted(entry["folder"] for entry in told["relit"])
-    assert not data_set.is_unfinished(root)
 
 
 @pytest.mark.parametrize(

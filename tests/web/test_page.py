@@ -32,7 +32,6 @@ from physhdr.bridge.model_file import Model
 from physhdr.bridge.spherical_harmonics import C0
 
 ROOT = Path(__file__).resolve().parents[2]
-EARLIER = ROOT / "tests" / "fixtures" / "e7440a3"
 DEMO, DEMO_DATA = ROOT / "runs" / "demo", ROOT / "data" / "demo"
 #: What the page must keep to, against ``physhdr render`` (52.5 dB is the least that was seen), and what bytes
 #: instead of floats may cost of a picture's likeness to the truth.
@@ -108,22 +107,24 @@ def axes_of(turn: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def two_lights(tmp_path_factory) -> tuple[Path, Path]:
+def two_lights(tiny_scene, tmp_path_factory) -> tuple[Path, Path]:
     """A small run with two lights, and its page's folder."""
-    folder = tmp_path_factory.mktemp("two") / "run"
-    data, out = EARLIER / "data_two_lights", folder.parent / "page"
-    assert main(["train", str(data), "--out", str(folder), "--iterations", "12"]) == 0
-    assert main(["export", str(folder), "--web", str(out)]) == 0
-    return folder, out / "index.html"
+    top = tmp_path_factory.mktemp("two")
+    data = tiny_scene.write_tiny_scene(top / "data", lights=("ambient", "pendant"))
+    assert main(["train", str(data), "--out", str(top / "run"), "--iterations", "12"]) == 0
+    assert main(["export", str(top / "run"), "--web", str(top / "page")]) == 0
+    return top / "run", top / "page" / "index.html"
 
 
-def test_what_a_page_cannot_show_is_said(tmp_path, capsys):
+def test_what_a_page_cannot_show_is_said(tiny_scene, tmp_path, capsys):
     """The paper's preset has local curves and baked levels; anchors are fixed as for every file."""
-    for name, remark in (("paper", "global curve alone"), ("default-scaffold", "")):
-        run, words = str(tmp_path / name), ["--preset", name, "--iterations", "12"]
-        assert main(["train", str(EARLIER / "data"), "--out", run, *words]) == 0
+    data = tiny_scene.write_tiny_scene(tmp_path / "data")
+    for name, remark in (("paper-short", "global curve alone"), ("default-scaffold", "")):
+        words = ["train", str(data), "--out", str(tmp_path / name), "--preset", name, "--iterations", "12"]
+        assert main(words) == 0
         capsys.readouterr()
-        assert main(["export", run, "--web", str(tmp_path / f"{name}.html"), "--single-file"]) == 0
+        words = ["export", str(tmp_path / name), "--web", str(tmp_path / f"{name}.html"), "--single-file"]
+        assert main(words) == 0
         told = " ".join(capsys.readouterr().out.split())
         assert (remark in told) if remark else ("curve" not in told)
         assert remark in (tmp_path / f"{name}.html").read_text()

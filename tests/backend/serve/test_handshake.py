@@ -73,7 +73,7 @@ def closing(peer, timeout=10.0):
         (b"\0\1\2", 1003, "text"),
         ("x" * (TEXT_BYTES_MAX + 1), 1009, ""),
         ('{"kind": "request", "id": 1, "type": "status_get", "body": {}}', 1008, "hello"),
-        ('{"kind": "request", "id": 1, "type": "hello", "body": {"protocol": 3}}', 1008, "client"),
+        ('{"kind": "request", "id": 1, "type": "hello", "body": {"protocol": 1}}', 1008, "client"),
     ],
 )
 def test_a_wrong_first_frame_ends_the_connection(backend, enter, first, code, words):
@@ -101,7 +101,7 @@ def test_wrong_requests_are_answered_and_bounded(backend, enter):
         {"kind": "request", "id": 52, "type": "run_open", "body": {"run": 7}},
         {"kind": "request", "id": 53, "type": "train_start", "body": {"data": "/x", "out": "/y", "more": 1}},
         {"kind": "reply", "id": 54, "type": "done", "body": {}},
-        {"kind": "request", "id": 55, "type": "hello", "body": {"protocol": 3, "client": "again"}},
+        {"kind": "request", "id": 55, "type": "hello", "body": {"protocol": 1, "client": "again"}},
     ]
     for frame in wrong:
         peer.socket.send(json.dumps(frame))
