@@ -2,7 +2,6 @@
 """Learned poses: their gradient against differences, what a scene could follow, and errors that they find."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from physhdr.backend.model.gaussians import Gaussians
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.config import CONFIG_FILE, read_config, write_config
 from physhdr.backend.train.learned_poses import LearnedPoses, PoseConfig, moved, twist_gradient
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import POSES, Trainer
@@ -207,23 +205,6 @@ def test_anchors_tell_of_poses_too(tiny_data):
     for _ in range(8):
         trainer.step()
     assert (np.abs(trainer.poses.twist).max(axis=1) > 0.0).all()
-
-
-def test_a_training_that_was_begun_without_goes_on_without(tiny_data, tmp_path):
-    """As those of earlier versions were, whose configuration says nothing of it."""
-    photographs = dataclasses.replace(read_scene(tiny_data), info={}, response_anchor=None)
-    begun = Trainer(photographs, short("off"))
-    begun.step()
-    begun.save(tmp_path)
-    write_config(tmp_path / CONFIG_FILE, begun.config, tiny_data, "default")
-    written = json.loads((tmp_path / CONFIG_FILE).read_text())
-    del written["config"]["poses"]
-    (tmp_path / CONFIG_FILE).write_text(json.dumps(written))
-    resumed = Trainer(photographs, read_config(tmp_path / CONFIG_FILE).config, resumed=tmp_path)
-    assert resumed.poses is None
-    resumed.step()
-    with pytest.raises(FileDamagedError, match=r"it has no poses\.twist"):
-        Trainer(photographs, short("auto"), resumed=tmp_path, configuration=begun.configuration)
 
 
 def test_what_cannot_be_is_refused(tiny_data, tmp_path):

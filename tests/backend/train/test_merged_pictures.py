@@ -2,7 +2,6 @@
 """Which trainings see merged brackets. What such pictures are: ``tests/backend/start``."""
 
 import dataclasses
-import json
 import shutil
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from PIL import Image
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import CAMERA, SRGB, Encoding
 from physhdr.backend.start.merged_brackets import MergedBrackets
-from physhdr.backend.train.config import TrainConfig, read_config, write_config
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
@@ -97,13 +95,3 @@ def test_what_clips_under_a_known_response_stays_white(noisy):
     known = whites(SRGB)
     assert len(known) > 100 and (known == 65535).all()
     assert (whites(CAMERA) < 65535).any()  # of noise, where the response is learned
-
-
-def test_runs_of_before_go_on_as_they_were(tmp_path):
-    path = tmp_path / "config.json"
-    write_config(path, TrainConfig(), tmp_path, "default")
-    assert read_config(path).config.merged_brackets == "auto"
-    content = json.loads(path.read_text())
-    del content["config"]["merged_brackets"]
-    path.write_text(json.dumps(content))
-    assert read_config(path).config.merged_brackets == "off"

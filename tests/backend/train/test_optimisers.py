@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rates over a training, by its length."""
 
-import json
-
 import pytest
 
-from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.optimisers import STOCK_3DGS, OptimiserConfig
 from physhdr.backend.train.presets import PRESETS
 
@@ -38,12 +35,3 @@ def test_positions_and_networks_go_as_in_any_training():
 def test_3dgs_as_published_has_constant_rates():
     assert STOCK_3DGS.rate("log_scales", 10**6).at(1.0, 1.0) == STOCK_3DGS.log_scales
     assert PRESETS["paper"].optimiser.rates_for == PRESETS["gausshdr"].optimiser.rates_for == 0
-
-
-def test_a_run_of_before_goes_on_with_constant_rates(tmp_path):
-    path = tmp_path / "config.json"
-    write_config(path, PRESETS["high"], tmp_path, "high")
-    content = json.loads(path.read_text())
-    del content["config"]["optimiser"]["rates_for"]
-    path.write_text(json.dumps(content))
-    assert read_config(path).config.optimiser.rates_for == 0
