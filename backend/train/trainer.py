@@ -91,8 +91,8 @@ class Trainer:
     """A run: the method, its optimiser, its growth and the iteration.
 
     ``device``: where everything is computed; ``implementation`` picks the rasteriser. ``resumed``: a run's
-    folder, to go on from its checkpoint, bit-identically on the CPU. ``configuration``: the fingerprint that
-    its config.json has, which is that of ``config`` unless an older PhysHDR wrote it. Raises
+    folder, to go on from its checkpoint, bit-identically on the CPU. ``configuration``: the fingerprint of
+    its config.json as it was written; by default that of ``config``. Raises
     ``BadValueError`` or ``DataMismatchError`` where the scene cannot be trained with ``config``, and what
     reading a checkpoint raises.
     """

@@ -98,7 +98,7 @@ def test_a_process_that_stands_still_keeps_its_claim(folder, another):
 
 def test_the_last_to_go_tidies_after_the_dead_and_leaves_the_living(folder, another):
     with claims(folder) as mine:
-        for name in ("done", ".clock.1f2bbed2"):  # a dead one's, and what an earlier version left
+        for name in ("done", ".other"):  # a dead one's, and somebody's
             (folder / name).touch()
         assert mine.take("mine")
     assert os.listdir(folder) == ["run"]

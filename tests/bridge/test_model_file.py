@@ -107,13 +107,12 @@ def test_round_trip_is_exact(tmp_path: Path, modulator: str, lights: tuple[str, 
 def test_confidence_comes_back_and_may_be_missing(tmp_path: Path, modulator: str, lights: tuple[str, ...]):
     model, path = make_model(modulator=modulator, lights=lights), tmp_path / "m.safetensors"
     write_model(path, model)
-    assert read_model(path).confidence is None  # as every file of before there was any
+    assert read_model(path).confidence is None
     without = path.read_bytes()
     assert b"confidence" not in without
     sure = np.linspace(0.0, 1.0, model.count, dtype=np.float32)
     write_model(path, dataclasses.replace(model, confidence=sure))
     np.testing.assert_array_equal(read_model(path).confidence, sure)
-    # All that a program of before there was any reads is as it was.
     rewrite(path, lambda header, data: header.pop("confidence") and None)
     assert read_model(path).tensors().keys() == model.tensors().keys()
 
@@ -134,8 +133,7 @@ def test_safetensors_library_reads_what_we_write(path: Path):
     from safetensors.numpy import load_file
 
     tensors, written = load_file(path), make_model().tensors()
-    # The ambient light alone: the file is what it was before there were others, so that either version of
-    # PhysHDR reads the other's.
+    # The ambient light alone has a tensor of its own.
     written["ambient_share"] = written.pop("light_share")[:, 0]
     assert tensors.keys() == written.keys()
     for name, array in written.items():

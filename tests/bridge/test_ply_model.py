@@ -189,7 +189,6 @@ def test_a_lossless_ply_of_several_lights(tmp_path: Path):
     np.testing.assert_allclose(
         found.radiance(directions, levels), expected.radiance(directions, levels), rtol=1e-5
     )
-    # A PhysHDR of before there were lights compares the form to "additive" and refuses the file.
     for line in ('phys_lights ["ambient", "desk lamp", "screen", "sun"]', "phys_lights 7", "phys_lights ["):
         lossless(tmp_path / "b.ply", [form[0], line], lights)
         with pytest.raises(BadValueError, match=r"b\.ply: its phys_lights"):
@@ -197,7 +196,7 @@ def test_a_lossless_ply_of_several_lights(tmp_path: Path):
 
 
 def test_a_lossless_ply_is_developed_at_the_exposure_of_its_model(tmp_path: Path):
-    """The middle one of 1/8, 1/3 and 2 s; files of before exposures were written have none."""
+    """The middle one of 1/8, 1/3 and 2 s."""
     form, line = "phys_form product additive", f"phys_exposures {json.dumps((2.0, 1.0 / 3.0, 0.125))}"
     lossless(tmp_path / "a.ply", [form, line])
     for _ in range(2):

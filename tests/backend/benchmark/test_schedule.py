@@ -315,7 +315,7 @@ def test_what_a_dead_command_left_is_taken_over(bench):
     (folder / ".seed_0-dead").mkdir(parents=True)
     claims = bench.root / "out" / ".claims"
     claims.mkdir()
-    # An earlier version's claim, which lies there without a lock as a dead process's does.
+    # A dead process's claim, which nobody holds a lock on.
     owner = {"host": os.uname().nodename, "pid": os.getpid(), "token": "x"}
     (claims / "iterations-50__exp3__day__quick__seed_0").write_text(json.dumps(owner))
     (claims / "iterations-50__exp3__day__quick__seed_7").write_text(json.dumps(owner))
@@ -492,7 +492,7 @@ def test_no_two_runs_share_a_claim(bench):
     assert len({run.claim for run in runs}) == len(runs) == len(names) ** 2
     bench.content |= {"methods": ["paper-short"], "scenes": [f"my_room={bench.root / 'day'}"]}
     claim = bench.schedule().runs[0].claim
-    assert claim == "iterations-50__exp3__my_room__paper-short__seed_0"  # as earlier versions call it
+    assert claim == "iterations-50__exp3__my_room__paper-short__seed_0"
 
 
 def test_equal_cpu_seconds_are_found_from_the_run_at_equal_iterations(bench):

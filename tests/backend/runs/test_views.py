@@ -57,7 +57,7 @@ def test_what_is_kept_is_the_scene_without_its_pictures(scene, tmp_path):
 def test_a_data_set_is_known_by_its_pictures_names_and_its_cameras(scene, tiny_data, tmp_path):
     run = tmp_path / "run"
     run.mkdir()
-    assert may_be_of(run, tmp_path)  # an earlier version's says nothing
+    assert may_be_of(run, tmp_path)  # killed before it said anything
     write_views(run, scene)
     assert len(picture_names(run)) == sum(len(view.exposures) for view in scene.train)
     assert may_be_of(run, tiny_data) and not may_be_of(run, tmp_path)

@@ -17,7 +17,7 @@ from physhdr.bridge.connection import CONNECTION_FILE, LOCK_FILE
 from physhdr.bridge.errors import OutputError
 from physhdr.bridge.lock import Lock
 
-#: Takes the lock as a backend of an earlier version did, and keeps it until its stdin ends.
+#: Takes the lock, and keeps it until its stdin ends.
 HOLDER = """
 import fcntl, sys
 file = open(sys.argv[1], "a")
@@ -33,7 +33,7 @@ def mode(path):
 
 @pytest.mark.parametrize("found", [None, 0o644, 0o666])
 def test_the_lock_is_its_owners_alone(tmp_path, found):
-    """Whoever may open a file may lock it: 0600 in 0700, also where an earlier version left 0644 in 0755."""
+    """Whoever may open a file may lock it: 0600 in 0700, also where it was 0644 in 0755."""
     home = tmp_path / "home"
     if found:
         home.mkdir()
