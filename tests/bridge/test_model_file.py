@@ -154,7 +154,7 @@ def test_safetensors_library_reads_several_lights(tmp_path: Path):
     assert tensors["light_share"].shape == (7, 2, 3) and "ambient_share" not in tensors
     np.testing.assert_array_equal(tensors["light_share"], model.light_share)
     with safetensors.safe_open(tmp_path / "m.safetensors", "numpy") as file:
-        assert file.metadata()["modulator"] == "additive-lights"  # an older PhysHDR: unknown modulator, newer
+        assert file.metadata()["modulator"] == "additive-lights"
         assert json.loads(file.metadata()["lights"]) == ["ambient", "pendant"]
 
 
