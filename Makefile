@@ -49,7 +49,7 @@ gpu-check: ## Is what a card computes right, and how fast? Says so and ends wher
 
 # What touches files and takes no training of its own.
 ON_WINDOWS := tests/bridge tests/addon/session tests/backend/serve/test_home.py tests/backend/export \
-	tests/backend/formats tests/backend/benchmark/test_schedule.py tests/backend/scene/capture \
+	tests/backend/formats tests/lab/benchmark/test_schedule.py tests/backend/scene/capture \
 	tests/backend/runs/test_files.py tests/backend/runs/test_lock.py
 windows-semantics: setup ## Tests that touch files, as if Windows kept these; WITH="-k model" and other options
 	@$(BACKEND) -m pytest $(ON_WINDOWS) --as-on-windows $(WITH)

@@ -13,6 +13,8 @@ from typing import Any
 
 from ..bridge.errors import BadValueError, FileDamagedError
 
+#: The package, as pip and its entry points call it.
+NAME = "physhdr"
 PYPROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 
 
@@ -30,6 +32,11 @@ def _project() -> dict[str, Any]:
 def version() -> str:
     """The version of this copy; raises ``FileDamagedError``."""
     return _project()["version"]
+
+
+def entry_points_of(group: str) -> dict[str, str]:
+    """Name → object of this copy's own entry points of ``group``; raises ``FileDamagedError``."""
+    return _project().get("entry-points", {}).get(group, {})
 
 
 def version_of(package: str) -> str:

@@ -81,3 +81,40 @@ def splat_transform() -> Callable[..., None]:
         assert done.returncode == 0, done.stderr + done.stdout
 
     return run
+
+
+@pytest.fixture(scope="session")
+def tiny_scene() -> ModuleType:
+    """``tests/backend/tiny_scene.py``, which writes data sets of a few Gaussians. It needs torch."""
+    return _module("backend/tiny_scene")
+
+
+@pytest.fixture(scope="session")
+def lossless() -> ModuleType:
+    """``tests/backend/lossless.py``: what is read back from a lossless PLY."""
+    return _module("backend/lossless")
+
+
+@pytest.fixture(scope="session")
+def tiny_data(tiny_scene, tmp_path_factory) -> Path:
+    """A tiny data set in the documented layout; tests must not write into it."""
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("tiny") / "data")
+
+
+@pytest.fixture(scope="session")
+def larger_data(tiny_scene, tmp_path_factory) -> Path:
+    """``tiny_data`` of 128×128, where kernels for whole pictures run; tests must not write into it."""
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("larger") / "data", size=128)
+
+
+@pytest.fixture(scope="session")
+def validation_data(tiny_scene, tmp_path_factory) -> Path:
+    """``tiny_data`` with three validation views; tests must not write into it."""
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("validation") / "data", validation=3)
+
+
+@pytest.fixture(scope="session")
+def two_lights_data(tiny_scene, tmp_path_factory) -> Path:
+    """A tiny data set whose lit views have levels of two lights; tests must not write into it."""
+    lights = ("ambient", "pendant")
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("two") / "data", lights=lights)

@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 #: Folders of the repository, by whose names a path in a page is known to be one of it.
-FOLDERS = "addon|backend|benchmarks|bridge|docs|locks|synth|tests|tools"
+FOLDERS = "addon|backend|benchmarks|bridge|docs|lab|locks|synth|tests|tools"
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^()\s]+)\)")
 #: `backend/train/losses.py` or `backend/simd/`; what has a star or a blank is a pattern or a command.

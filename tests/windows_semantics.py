@@ -33,7 +33,7 @@ import filelock
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-OURS = tuple(f"{ROOT / room}{os.sep}" for room in ("addon", "backend", "bridge", "synth"))
+OURS = tuple(f"{ROOT / room}{os.sep}" for room in ("addon", "backend", "bridge", "lab", "synth"))
 #: Whose frames are passed over when it is asked who calls.
 LIBRARY = (sysconfig.get_path("stdlib") + os.sep, "<frozen ", __file__)
 INSTALLED = sysconfig.get_path("purelib") + os.sep

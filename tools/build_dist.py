@@ -18,7 +18,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("addon", "backend", "bridge", "synth")
+ROOMS = ("addon", "backend", "bridge", "lab", "synth")
 #: In the wheel beside the rooms: what they read when they run.
 READ = {
     "py.typed",

@@ -20,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("addon", "backend", "bridge", "synth")
+ROOMS = ("addon", "backend", "bridge", "lab", "synth")
 #: What pyright calls the systems on which most users of Blender are.
 OTHER_SYSTEMS = ("Windows", "Darwin")
 #: Modules of which a system lacks a part, or the whole; and the questions which system this is.

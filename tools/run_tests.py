@@ -36,7 +36,7 @@ ENVIRONMENTS = {"backend": {"OMP_NUM_THREADS": "1"}}
 LANES: tuple[dict[str, tuple], ...] = (
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--quick"),
-        "backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend"),
+        "backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend", "tests/lab"),
     },
     {
         "blender": (*IN_BLENDER, "-m", "not long", "tests/bridge", "tests/synth", "tests/addon"),
@@ -44,7 +44,7 @@ LANES: tuple[dict[str, tuple], ...] = (
     },
 )
 LONG: tuple[dict[str, tuple], ...] = (
-    {"long": (*PYTEST, "-m", "long", "tests/backend")},
+    {"long": (*PYTEST, "-m", "long", "tests/backend", "tests/lab")},
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--others"),
         "long loop": (*PYTEST, "-m", "long", "tests/loop"),

@@ -17,6 +17,7 @@ from ...bridge.errors import FileMissingError
 from ...bridge.regular import require_text
 from ..memory import refuse_too_few_addresses
 from ..project import requirements, version
+from ..tables import Table
 from .words import Words, words_of
 
 __all__ = ["main"]
@@ -166,7 +167,6 @@ def _command(argv: list[str]) -> Any:
 
     if argv[:1] == ["convert"]:  # without the others, which take seconds to import torch
         return tyro.cli(Convert, prog="physhdr convert", args=argv[1:])
-    from .benchmark import Benchmark
     from .calibrate import Calibrate
     from .check import Check
     from .evaluate import Evaluate
@@ -183,7 +183,7 @@ def _command(argv: list[str]) -> Any:
 
     # The preset decides the defaults of the other options, so it is read first.
     train = Train(config=preset_named(argv), typed=options_in(argv))
-    commands = (
+    commands: Any = (
         Annotated[Train, tyro.conf.subcommand("train", default=train)]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
@@ -192,7 +192,6 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Video, tyro.conf.subcommand("video")]
         | Annotated[Panorama, tyro.conf.subcommand("panorama")]
-        | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
         | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]
         | Annotated[LayOut, tyro.conf.subcommand("layout")]
@@ -202,4 +201,7 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Serve, tyro.conf.subcommand("serve")]
         | Annotated[Check, tyro.conf.subcommand("check")]
     )
+    added: Table[Any] = Table("commands", {})
+    for name, command in added.items():
+        commands |= Annotated[command, tyro.conf.subcommand(name)]
     return tyro.cli(commands, prog="physhdr", description=__doc__, args=argv)

@@ -26,13 +26,12 @@ from ...bridge.errors import BadValueError, DataMismatchError, OutputError, Phys
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ...bridge.signals import caught, interrupt
-from ..benchmark.job import THREAD_VARIABLES
 from ..child import child_command
 from ..device import DeviceName
 from ..evaluate.pictures import finite
 from ..evaluate.sheets import as_picture
 from ..jobs.pools import LocalPool, Outcome
-from ..jobs.process import StoppedError, end_with_parent, run_to_end
+from ..jobs.process import THREAD_VARIABLES, StoppedError, end_with_parent, run_to_end
 from ..rasterize import Implementation
 from ..runs.run import Run, open_run
 from ..scene import Camera

@@ -13,6 +13,8 @@ import psutil
 
 #: Seconds between looks at whether to go on; and those that a process has to end by itself.
 LOOK_EVERY, GRACE = 0.2, 5.0
+#: Libraries read these where ``set_threads`` does not reach.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
 
 

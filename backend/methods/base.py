@@ -10,7 +10,7 @@ way from radiance to the picture.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 import torch
@@ -62,6 +62,9 @@ class MethodConfig(ABC):
 
     Settings that contradict each other are refused by ``__post_init__``, with ``BadValueError``.
     """
+
+    #: What ``config.json`` and messages call the method.
+    name: ClassVar[str]
 
     @property
     @abstractmethod

@@ -10,7 +10,7 @@ of them (``paper``).
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, Literal, TypeVar
+from typing import ClassVar, Generic, Literal, TypeVar
 
 import torch
 
@@ -44,6 +44,8 @@ D = TypeVar("D", bound=Drawn)
 @dataclass(frozen=True, kw_only=True)
 class PhysHDRConfig(MethodConfig):
     """What the method is made of. The defaults are the preset ``default``; see docs/method.md for the why."""
+
+    name: ClassVar[str] = "physhdr"
 
     #: Which branches are rendered. One branch costs three channels, both cost six (and the context).
     branches: Literal["both", "image-exposure", "illumination"] = "illumination"

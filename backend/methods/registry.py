@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every method by its name. A new method is one file and one row here."""
+"""Every method by its name: ours, and those that packages add, as ``lab/`` does."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,10 +8,8 @@ from ...bridge.errors import BadValueError
 from ..model.anchors import Anchors, AnchorsConfig
 from ..model.backbone import Attributes, Backbone
 from ..model.gaussians import Gaussians
+from ..tables import Table
 from .base import Facts, Method, MethodConfig
-from .gausshdr import GaussHDR, GaussHDRConfig
-from .hdr_gs import HDRGS, HDRGSConfig
-from .hdr_nerf import HDRNeRF, HDRNeRFConfig
 from .physhdr import PhysHDR
 from .physhdr_common import PhysHDRConfig
 from .physhdr_paper import PaperPhysHDR
@@ -33,17 +31,7 @@ def _physhdr(config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> Method:
 
 
 #: By the names that stand in files.
-METHODS = {
-    "physhdr": Registered(PhysHDRConfig, _physhdr),
-    "gausshdr": Registered(GaussHDRConfig, GaussHDR),
-    "hdr-gs": Registered(HDRGSConfig, HDRGS),
-    "hdr-nerf": Registered(HDRNeRFConfig, HDRNeRF),
-}
-
-
-def name_of(config: MethodConfig) -> str:
-    """The method that ``config`` is of, as ``config.json`` names it."""
-    return next(name for name, row in METHODS.items() if row.config is type(config))
+METHODS: Table[Registered] = Table("methods", {PhysHDRConfig.name: Registered(PhysHDRConfig, _physhdr)})
 
 
 def config_named(name: str) -> type[MethodConfig]:
@@ -55,7 +43,7 @@ def config_named(name: str) -> type[MethodConfig]:
 
 def new_method(config: MethodConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
     """An untrained method without primitives; raises ``BadValueError`` where it cannot be with these data."""
-    make = METHODS[name_of(config)].make
+    make = METHODS[config.name].make
     if not config.traits.splats:
         return make(config, facts)
     return make(config, new_backbone(config.attributes(facts.lights), anchors), facts)

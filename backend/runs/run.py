@@ -15,7 +15,6 @@ from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
 from ..export.confidence import Seen, confidence_of
 from ..methods.base import Method, SplattingMethod
-from ..methods.registry import name_of
 from ..rasterize import Implementation
 from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
@@ -49,7 +48,7 @@ class Run:
         """Where an exported file comes from, for its metadata."""
         told = {
             "scene": self.scene.name,
-            "method": f"{name_of(self.config.method)}, preset {self.preset}",
+            "method": f"{self.config.method.name}, preset {self.preset}",
             "iteration": str(self.iteration),
         }
         if ev := self.photographed_ev:
@@ -70,7 +69,7 @@ class Run:
         method = self.method.splatting
         if method is None:
             raise BadValueError(
-                f"{self.folder} is of {name_of(self.config.method)}, which has no Gaussians",
+                f"{self.folder} is of {self.config.method.name}, which has no Gaussians",
                 "Render pictures of it by physhdr render; the other methods can be exported and previewed.",
             )
         return method

@@ -17,7 +17,7 @@ from ...bridge.regular import read_json_object, resolved
 from ...bridge.run_folder import CONFIG_FILE as CONFIG_FILE
 from ..methods.base import MethodConfig
 from ..methods.physhdr_common import PhysHDRConfig
-from ..methods.registry import config_named, name_of
+from ..methods.registry import config_named
 from ..model.anchors import AnchorsConfig
 from ..start.initialise import Source
 from .densify import DensifyConfig
@@ -142,7 +142,7 @@ class TrainConfig:
 
     def _check_traits(self) -> None:
         """Raises ``BadValueError`` for a schedule that the method cannot follow."""
-        name, traits = name_of(self.method), self.method.traits
+        name, traits = self.method.name, self.method.traits
         several = self.exposure_mode == "exp3" and len(self.training_exposures) > 1
         if self.supervision == "bracket" and several and not traits.brackets_at_once:
             raise BadValueError(
@@ -261,7 +261,7 @@ def completed(values: Any) -> dict[str, Any]:
 
 def _values(config: TrainConfig) -> dict[str, Any]:
     values = dataclasses.asdict(config)
-    values["method"] = {"name": name_of(config.method)} | values["method"]
+    values["method"] = {"name": config.method.name} | values["method"]
     return values
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The presets by name: ours, every method as published, and those on the schedule of ``default``.
+"""The presets by name: ours, the paper's method as published, and those on the schedule of ``default``.
 
 The published ones have their papers' 30,000 iterations in mind: rates, when growth starts, when opacities are
 reset. ``…-short`` are the same methods on what ``default`` has for its backbone and schedule, and with faster
@@ -12,14 +12,11 @@ import operator
 from typing import Any
 
 from ..kernels.ahead import Needs
-from ..methods.gausshdr import GaussHDRConfig
-from ..methods.hdr_gs import HDRGSConfig
-from ..methods.hdr_nerf import HDRNeRFConfig
 from ..methods.losses import LossConfig
 from ..methods.physhdr_common import PhysHDRConfig
 from ..model.anchors import AnchorGrowthConfig, AnchorRates, AnchorsConfig
-from ..model.field import FieldConfig
 from ..model.tone_mapper import ToneMapperConfig
+from ..tables import Table
 from .config import TrainConfig
 from .densify import DensifyConfig
 from .learned_poses import PoseConfig
@@ -109,46 +106,6 @@ def baseline(iterations: int = 2500) -> TrainConfig:
     )
 
 
-#: 3DGS's own densification, without a budget.
-STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
-
-
-def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> TrainConfig:
-    """A peer on 3DGS with 3DGS's schedule, and one set of values for all scenes.
-
-    GaussHDR on 3DGS is in its paper, but its code is not published.
-    """
-    return as_published(
-        iterations=iterations,
-        half_size_until=0.0,
-        sh_degree_every=1000,
-        method=method,
-        optimiser=STOCK_3DGS,
-        densify=STOCK_DENSIFY,
-    )
-
-
-def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
-    """HDR-NeRF as published for rendered data: 16 CPU seconds an iteration, which calls for a card."""
-    return as_published(iterations=iterations, half_size_until=0.0, method=HDRNeRFConfig())
-
-
-def hdr_nerf_small(iterations: int = 2500) -> TrainConfig:
-    """HDR-NeRF in the seconds that others take on a CPU: smaller, with many short steps, and fewer octaves.
-
-    What few steps can learn: high octaves would be noise, rays are better spent on steps than on batches.
-    """
-    method = HDRNeRFConfig(
-        field=FieldConfig(depth=4, width=64, view_width=32, position_octaves=6, first_weights="he"),
-        rays_per_iteration=64,
-        coarse_samples=24,
-        fine_samples=32,
-        learning_rate=5e-3,
-        final_rate_share=0.1,
-    )
-    return as_published(iterations=iterations, half_size_until=0.0, method=method)
-
-
 def short(published: TrainConfig, iterations: int = 2500, networks_times: float = 10.0) -> TrainConfig:
     """A published method on the backbone's settings and the schedule of ``default``."""
     ours = TrainConfig()
@@ -160,12 +117,6 @@ def short(published: TrainConfig, iterations: int = 2500, networks_times: float 
         optimiser=OptimiserConfig(networks_times=networks_times),
         densify=dataclasses.replace(ours.densify, scaling_strength=published.densify.scaling_strength),
     )
-
-
-def released_gausshdr() -> GaussHDRConfig:
-    """GaussHDR on Scaffold-GS's backbone, as its released code has it: the global curve bends by ReLU."""
-    config = GaussHDRConfig()
-    return dataclasses.replace(config, tone_mapper=dataclasses.replace(config.tone_mapper, activation="relu"))
 
 
 def fast(iterations: int = 1250) -> TrainConfig:
@@ -199,28 +150,22 @@ SHORT_PAPER_ANCHORS = dataclasses.replace(
     SHORT_TRAINING, growth=dataclasses.replace(SHORT_TRAINING.growth, scaling_strength=1.0)
 )
 
-#: The presets by name. They differ in config fields only.
-PRESETS: dict[str, TrainConfig] = {
-    "default": TrainConfig(),
-    "fast": fast(),
-    "high": high(),
-    "paper": paper(),
-    "baseline": baseline(),
-    "default-scaffold": default_scaffold(),
-    "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
-    "baseline-scaffold": on_anchors(baseline(), SHORT_TRAINING),
-    "gausshdr": on_3dgs(GaussHDRConfig()),
-    "gausshdr-scaffold": on_anchors(on_3dgs(released_gausshdr()), PUBLISHED_ANCHORS),
-    "hdr-gs": on_3dgs(HDRGSConfig()),
-    "hdr-nerf": hdr_nerf(),
-    "paper-short": short(paper()),
-    "paper-scaffold-short": on_anchors(short(paper()), SHORT_PAPER_ANCHORS),
-    "gausshdr-short": short(on_3dgs(GaussHDRConfig())),
-    "gausshdr-scaffold-short": on_anchors(short(on_3dgs(GaussHDRConfig())), SHORT_TRAINING),
-    # Its response, which nothing holds, falls where it learns faster; and all start from merged brackets.
-    "hdr-gs-short": short(on_3dgs(HDRGSConfig(initial_radiance="merged")), networks_times=1.0),
-    "hdr-nerf-small": hdr_nerf_small(),
-}
+#: The presets by name, and those of packages. They differ in config fields only.
+PRESETS: Table[TrainConfig] = Table(
+    "presets",
+    {
+        "default": TrainConfig(),
+        "fast": fast(),
+        "high": high(),
+        "paper": paper(),
+        "baseline": baseline(),
+        "default-scaffold": default_scaffold(),
+        "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
+        "baseline-scaffold": on_anchors(baseline(), SHORT_TRAINING),
+        "paper-short": short(paper()),
+        "paper-scaffold-short": on_anchors(short(paper()), SHORT_PAPER_ANCHORS),
+    },
+)
 
 #: Channels that are drawn by some setting or other: radiance; with its ambient part, context or depth; all.
 CHANNELS = (3, 4, 6, 7, 10)

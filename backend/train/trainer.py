@@ -13,7 +13,7 @@ import torch
 from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
 from ..methods.base import Batch, Facts, Method, Recording, Responses, SplattingMethod
-from ..methods.registry import name_of, new_method
+from ..methods.registry import new_method
 from ..model.anchors import Anchors
 from ..rasterize import Implementation
 from ..rasterize.contract import CannotBeDrawnError
@@ -221,7 +221,7 @@ class Trainer:
         config, traits = self.config.nuisances, self.config.method.traits
         if config.mode == "on" and not traits.effects:
             raise BadValueError(
-                f"{name_of(self.config.method)} knows of no gain, white balance or vignetting of a photo",
+                f"{self.config.method.name} knows of no gain, white balance or vignetting of a photo",
                 "Leave out --nuisances.mode on.",
             )
         # Merged radiance and renders in EXR have no exposure or white balance of their own any more.
@@ -242,9 +242,7 @@ class Trainer:
         """As the configuration says."""
         mode, method = self.config.poses.mode, self.method.splatting
         if method is None and mode == "on":
-            raise BadValueError(
-                f"{name_of(self.config.method)} cannot learn poses", "Leave out --poses.mode on."
-            )
+            raise BadValueError(f"{self.config.method.name} cannot learn poses", "Leave out --poses.mode on.")
         if method is None or mode == "off" or (mode == "auto" and not self.scene.photographs):
             return None
         return LearnedPoses(self.views, self.config.poses, method.backbone.positions)
@@ -253,7 +251,7 @@ class Trainer:
         """Response and vignetting as the file at ``path`` has them."""
         if self.method.splatting is None:
             raise BadValueError(
-                f"{name_of(self.config.method)} cannot be given a response", "Leave out --calibration."
+                f"{self.config.method.name} cannot be given a response", "Leave out --calibration."
             )
         calibration = read_calibration(Path(path))
         use_response(self.method.splatting, calibration, path)
@@ -267,7 +265,7 @@ class Trainer:
                 f"{path} knows the lens's vignetting, which this training would take no notice of",
                 "Leave out --nuisances.mode off; of a preset that has it, set --nuisances.mode auto."
                 if is_off
-                else f"{name_of(self.config.method)} knows of none: leave out --calibration.",
+                else f"{self.config.method.name} knows of none: leave out --calibration.",
             )
 
     # -- one iteration -----------------------------------------------------------------------------------

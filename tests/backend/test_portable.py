@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("addon", "backend", "bridge", "synth")
+ROOMS = ("addon", "backend", "bridge", "lab", "synth")
 PROCESSES = {"run", "Popen", "check_output"}
 
 

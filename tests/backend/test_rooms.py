@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "synth": ("bridge",),
     "addon": ("bridge", "synth"),
     "backend": ("bridge",),
+    "lab": ("bridge", "backend"),
 }
 
 #: Modules of others that are Blender's, and those that only the backend's environment has.
@@ -33,10 +34,9 @@ OF_THE_BRIDGE = {*sys.stdlib_module_names, "numpy", "plyfile", "filelock"}
 Floors = tuple[tuple[str, ...], ...]
 BACKEND: Floors = (
     # Programs that are started by their names: nobody imports them.
-    ("launch", "benchmark.child"),
+    ("launch",),
     ("cli",),
-    # A command line hands over to these; neither knows the other.
-    ("serve", "benchmark"),
+    ("serve",),
     # A run's folder · work that other processes do.
     ("runs", "jobs"),
     ("train", "export"),
@@ -51,6 +51,8 @@ BACKEND: Floors = (
     ("kernels",),
     ("rasterize",),
     ("simd", "scene", "formats"),
+    # Rows that packages add.
+    ("tables",),
     # Standard library alone (and the bridge's errors): asked before anything else is there.
     ("memory", "project", "optional", "child"),
     ("shell",),
@@ -74,7 +76,14 @@ ADDON: Floors = (
     # Without Blender (as is the session): folders of data sets, similarities · What Blender's types lack.
     ("layouts", "similarity", "blender", "changes", "paths"),
 )
-FLOORS = {"backend": BACKEND, "addon": ADDON}
+LAB: Floors = (
+    # A program that is started by its name: nobody imports it.
+    ("benchmark.child",),
+    ("command",),
+    ("benchmark", "presets"),
+    ("peers",),
+)
+FLOORS = {"backend": BACKEND, "addon": ADDON, "lab": LAB}
 
 
 @dataclass(frozen=True)
@@ -148,7 +157,7 @@ def wrong_between_rooms(imports: list[Import]) -> list[str]:
                 wrong.append(f"{each}: {room}/ may import {allowed}")
         elif room == "bridge" and other not in OF_THE_BRIDGE:
             wrong.append(f"{each}: bridge/ has the standard library, numpy, plyfile and filelock")
-        elif room == "backend" and other in OF_BLENDER:
+        elif room in ("backend", "lab") and other in OF_BLENDER:
             wrong.append(f"{each}: Blender is another process")
         elif room in ("addon", "synth") and other in OF_THE_BACKEND:
             wrong.append(f"{each}: Blender's Python has no {other}")
@@ -243,6 +252,8 @@ def house(tmp_path: Path):
         ("addon__a", "import torch.nn", "Blender's Python has no torch"),
         ("backend__train__a", "import bpy", "Blender is another process"),
         ("backend__train__a", "from physhdr.addon import b", "backend/ may import bridge"),
+        ("backend__train__a", "from ...lab.peers import b", "backend/ may import bridge"),
+        ("lab__peers__a", "from ..command import b", "command is above peers"),
         ("backend__serve__a", "from ..cli.b import c", "cli is above serve"),
         ("backend__serve__a", "def f():\n    from ..cli import b", "serve.a:2 imports backend.cli: cli is"),
         ("backend__methods__a", "from ..train import b", "train is above methods"),

@@ -10,7 +10,7 @@ import pytest
 from physhdr.bridge import splatting, srgb
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("addon", "backend", "bridge", "synth")
+ROOMS = ("addon", "backend", "bridge", "lab", "synth")
 LIMITS = [name for name in vars(splatting) if name.isupper()]
 CURVE = (srgb.SLOPE, srgb.CODE_KNEE, srgb.LINEAR_KNEE, srgb.SCALE)
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Evaluation, video, web page and bake from Blender with the real backend: figures and frames are its own."""
 
-import importlib.util
 import json
 import math
 import subprocess
@@ -22,21 +21,11 @@ from physhdr.backend.scene import Camera
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
-def tiny_scene():
-    """The module of the backend's tests that writes a data set of a few Gaussians."""
-    path = ROOT / "tests" / "backend" / "tiny_scene.py"
-    spec = importlib.util.spec_from_file_location("tiny_scene", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def run(tiny_scene, tmp_path_factory) -> Path:
     """A few Gaussians, trained for a moment."""
     folder = tmp_path_factory.mktemp("results")
-    data = tiny_scene().write_tiny_scene(folder / "data")
+    data = tiny_scene.write_tiny_scene(folder / "data")
     command = [sys.executable, ROOT / "backend" / "launch.py", "train", data, "--out", folder / "run"]
     subprocess.run([*command, "--iterations", "60"], check=True, capture_output=True)
     export = [sys.executable, ROOT / "backend" / "launch.py", "export", folder / "run", "--quick"]

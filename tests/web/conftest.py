@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A headless Chromium for the tests of web pages; without one they are skipped, with the reason."""
 
-import importlib.util
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -21,16 +19,6 @@ PATIENCE = 120_000
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--shot", type=Path, help="also write the picture of the demo's page for README.md here")
-
-
-@pytest.fixture(scope="session")
-def tiny_scene() -> ModuleType:
-    """``tests/backend/tiny_scene.py``, which writes data sets small enough to train on in seconds."""
-    path = Path(__file__).resolve().parents[1] / "backend" / "tiny_scene.py"
-    spec = importlib.util.spec_from_file_location("tiny_scene", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 class Page:

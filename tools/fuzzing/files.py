@@ -441,7 +441,7 @@ def printable(text: str) -> None:
 
 
 def write_plan(folder: Path) -> None:
-    from physhdr.backend.benchmark import plan
+    from physhdr.lab.benchmark import plan
 
     lines = [line for line in (plan.__doc__ or "").splitlines() if "=" in line or line.startswith("[[")]
     text = "\n".join(lines).replace("../data/demo", "demo").replace("../data/bathroom", "bathroom")
@@ -452,7 +452,7 @@ def write_plan(folder: Path) -> None:
 
 
 def read_plan(folder: Path, file: str, _: bytes) -> None:
-    from physhdr.backend.benchmark.plan import make_plan, read_plan, write_plan
+    from physhdr.lab.benchmark.plan import make_plan, read_plan, write_plan
 
     plan = make_plan(read_plan(folder / file), folder)
     with tempfile.TemporaryDirectory(dir=folder) as again:

@@ -181,7 +181,7 @@ class Store:
 def code_fingerprint() -> str:
     """Of all code that runs here: what another version made is no reference."""
     digest = hashlib.sha256()
-    for room in ("bridge", "backend", "synth", "addon"):
+    for room in ("bridge", "backend", "lab", "synth", "addon"):
         for path in sorted((ROOT / room).rglob("*.py")):
             digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:12]

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from physhdr.backend.benchmark.facts import scene_line
 from physhdr.backend.cli import main
 from physhdr.backend.inspect import inspect
 from physhdr.backend.runs.terminal import console
 from physhdr.backend.scene.pictures import read_exr, write_exr
 from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
+from physhdr.lab.benchmark.facts import scene_line
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import dataclasses
 import pytest
 
 from physhdr.backend.methods.base import Facts, MethodConfig
-from physhdr.backend.methods.registry import METHODS, config_named, name_of, new_method
+from physhdr.backend.methods.registry import METHODS, config_named, new_method
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
@@ -19,8 +19,8 @@ SMALL = ("default", "baseline", "paper", "default-scaffold", "gausshdr", "hdr-gs
 def test_a_name_leads_to_the_settings_and_back():
     for name, row in METHODS.items():
         assert config_named(name) is row.config and issubclass(row.config, MethodConfig)
-        assert name_of(row.config()) == name
-    assert {name_of(config.method) for config in PRESETS.values()} == METHODS.keys()
+        assert row.config.name == name
+    assert {config.method.name for config in PRESETS.values()} == METHODS.keys()
     with pytest.raises(BadValueError, match=r"no method 'nerf'[\s\S]*hdr-nerf"):
         config_named("nerf")
 

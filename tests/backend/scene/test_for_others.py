@@ -19,13 +19,13 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from physhdr.backend.benchmark.roles import SEALED, role_of, room_of
 from physhdr.backend.cli import main
 from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.for_others import How, lay_out
 from physhdr.backend.scene.pictures import read_codes, write_exr
 from physhdr.bridge.data_set import MAKER
 from physhdr.bridge.errors import BadValueError
+from physhdr.lab.benchmark.roles import SEALED, role_of, room_of
 
 #: In front of every camera of the tiny data set.
 KNOWN_POINT = np.array([0.31, -0.27, 0.13])

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.backend.benchmark.facts import scene_line
 from physhdr.backend.cli import main
 from physhdr.backend.inspect import inspect
 from physhdr.backend.scene.points import EXACT, STRUCTURE_FROM_MOTION, read_points
+from physhdr.lab.benchmark.facts import scene_line
 
 ROOT = Path(__file__).resolve().parents[3]
 #: What our generator writes; read from its source, for it runs in Blender's Python alone.

@@ -159,7 +159,7 @@ def extension(tmp_path_factory):
     """The code as the extension has it: not installed, in a folder of another name."""
     folder = tmp_path_factory.mktemp("extensions") / "a name of its own"
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("backend", "bridge"):
+    for name in ("backend", "bridge", "lab"):
         shutil.copytree(ROOT / name, folder / name, ignore=ignored)
     for name in ("__init__.py", "pyproject.toml"):
         shutil.copy(ROOT / name, folder)

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-ROOMS = ("addon", "backend", "bridge", "synth")
+ROOMS = ("addon", "backend", "bridge", "lab", "synth")
 DOOR = ["CONTRIBUTING.md", *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/contributing/*.md"))]
 #: Names that the pages give to what a reader is going to make.
 TO_BE_MADE = re.compile(r"\bmy_|^DATA|preview\.png|^runs/|^data/|^dist/|^\.venvs/")

@@ -16,7 +16,6 @@ from scipy.spatial import KDTree
 
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels.activations import LOG_RADIANCE_RANGE
-from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
 from physhdr.backend.model.anchors import AnchorsConfig
 from physhdr.backend.runs.monitor import view_monitor
 from physhdr.backend.scene import read_scene
@@ -37,6 +36,7 @@ from physhdr.bridge.errors import (
     FileMissingError,
     OutputError,
 )
+from physhdr.lab.peers.hdr_nerf import HDRNeRFConfig
 
 #: Presets that differ from others in numbers only.
 SAME_OTHERWISE = "-short"

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""By how much one method is ahead of another: differences of runs on the same scene with the same seed.
+
+Scenes are what a claim is generalised over, seeds are what one run happens to be. So the differences of a
+scene are averaged over its seeds first, and the interval is Student's over the scenes: it holds both kinds of
+spread. Scenes that are of one room, through several cameras, tell little more of the next room than one of
+them: they are averaged, too, and the interval is over the rooms.
+"""
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from scipy.stats import t as student
+
+from ...backend.evaluate.comparison import Column, ComparedRun, column
+
+#: What a method is judged by.
+JUDGED = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips", "relit.psnr")
+#: Of the intervals: the probability with which one holds the mean difference.
+CONFIDENCE = 0.95
+
+Standing = Literal["ahead", "behind", "not told apart", "one run"]
+
+
+@dataclass(frozen=True)
+class Margin:
+    """Paired differences, one for each (scene, seed) that both methods have.
+
+    ``mean``: over rooms of the mean over their scenes of the mean over seeds. ``interval``: of that mean, by
+    the rooms where there are two, else by the scenes of the one, else by the seeds of the one; None of one
+    pair. ``spread``: the standard deviation over the seeds of a scene, pooled over the scenes (that scenes
+    differ is no noise); None where no scene has two seeds.
+    """
+
+    mean: float
+    interval: tuple[float, float] | None
+    spread: float | None
+    pairs: int
+    scenes: int
+    rooms: int
+    lower_is_better: bool = False
+
+    @property
+    def standing(self) -> Standing:
+        """What the interval says: *ahead* where all of it is on the better side of 0."""
+        if self.interval is None:
+            return "one run"
+        low, high = (-self.interval[1], -self.interval[0]) if self.lower_is_better else self.interval
+        return "ahead" if low > 0.0 else "behind" if high < 0.0 else "not told apart"
+
+
+def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) -> Margin | None:
+    """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None where no run can be paired."""
+    each = column(key)
+    ours, theirs = _by_run(entries, method, each), _by_run(entries, other, each)
+    of_scene: dict[str, list[float]] = {}
+    for run in ours.keys() & theirs.keys():
+        of_scene.setdefault(run[0], []).append(ours[run] - theirs[run])
+    if not of_scene:
+        return None
+    room_of = {entry.scene: entry.room for entry in entries}
+    of_room: dict[str, list[float]] = {}
+    for scene, seeds in of_scene.items():
+        of_room.setdefault(room_of[scene], []).append(statistics.fmean(seeds))
+    rooms = [statistics.fmean(scenes) for scenes in of_room.values()]
+    levels = (rooms, *of_room.values(), *of_scene.values())  # of one room or scene the next tells
+    interval = _interval(next((values for values in levels if len(values) > 1), rooms))
+    return Margin(
+        mean=statistics.fmean(rooms),
+        interval=interval,
+        spread=_spread(of_scene),
+        pairs=sum(map(len, of_scene.values())),
+        scenes=len(of_scene),
+        rooms=len(rooms),
+        lower_is_better=each.better == "lower",
+    )
+
+
+def _interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """Student's, of the mean of ``values``; None of a single one."""
+    if len(values) < 2:
+        return None
+    quantile = float(student.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
+    reach = quantile * statistics.stdev(values) / math.sqrt(len(values))
+    mean = statistics.fmean(values)
+    return mean - reach, mean + reach
+
+
+def _spread(of_scene: dict[str, list[float]]) -> float | None:
+    repeated = [scene for scene in of_scene.values() if len(scene) > 1]
+    if not repeated:
+        return None
+    squares = sum(statistics.variance(scene) * (len(scene) - 1) for scene in repeated)
+    return math.sqrt(squares / sum(len(scene) - 1 for scene in repeated))
+
+
+def _by_run(entries: Sequence[ComparedRun], method: str, each: Column) -> dict[tuple[str, int | None], float]:
+    values = {
+        (entry.scene, entry.seed): each.value(entry)
+        for entry in entries
+        if entry.method == method and not entry.published
+    }
+    return {run: value for run, value in values.items() if value is not None}

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr benchmark``: methods × scenes × settings × seeds at equal budgets, and the report on them."""
+
+import contextlib
+import hashlib
+import io
+import json
+import shlex
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+from rich.live import Live
+
+from ..backend.cli.train import Train, options_in, preset_named
+from ..backend.device import DeviceName
+from ..backend.jobs.pools import LocalPool, Pool, RayPool
+from ..backend.runs.files import writable_folder
+from ..backend.runs.terminal import console
+from ..backend.train.config import CONFIG_FILE, TrainConfig, write_config
+from ..bridge.errors import BadValueError, FileMissingError, PhysHDRError
+from ..bridge.regular import resolved
+from ..bridge.signals import caught, interrupt
+from .benchmark.job import PROGRAM
+from .benchmark.live import progress_table
+from .benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
+from .benchmark.report import REPORT_FILE, holds_runs, write_report
+from .benchmark.roles import require_allowed
+from .benchmark.runs import PER_RUN, Store, data_fingerprint, data_folder
+from .benchmark.schedule import Schedule
+from .benchmark.sized import sized
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Train and evaluate methods on scenes at equal budgets; runs that exist are not repeated.
+
+    Flags are shorthand for a plan file (docs/benchmarking.md); without either, the plan in --out goes on.
+    """
+
+    #: Folder of the benchmark: its plan, its runs, report.md and report.csv.
+    out: Path
+    #: A plan (TOML); flags below replace what it says.
+    plan: Path | None = None
+    #: What it is for: report (test views; the default), or tune (validation views alone, to make choices on).
+    kind: Literal["tune", "report"] | None = None
+    #: Presets, with commas or spaces between; or 'NAME := PRESET --option value', one an argument.
+    methods: tuple[str, ...] = ()
+    #: Pictures that another program made: NAME=FOLDER, with {scene} and so on (docs/compare.md).
+    external: tuple[str, ...] = ()
+    #: Folders of data sets; NAME=FOLDER to name one.
+    scenes: tuple[str, ...] = ()
+    #: How training chooses exposures: exp1, exp3.
+    settings: tuple[str, ...] = ()
+    #: For example 0,1,2.
+    seeds: tuple[str, ...] = ()
+    #: iterations=N or cpu-seconds=S, the same for every run; several are several tables.
+    budget: tuple[str, ...] = ()
+    #: FIELD=VALUE for every method, such as downscale=2.
+    set: tuple[str, ...] = ()
+    #: Whose margins over all but these are told: names between commas; default: the first method's.
+    margins_of: tuple[str, ...] = ()
+    #: LPIPS weights, as for physhdr evaluate.
+    lpips_weights: Path | None = None
+    #: Where to compute.
+    device: DeviceName | None = None
+    #: Threads of each run.
+    threads_per_job: int | None = None
+    #: Runs at the same time on this machine.
+    jobs: int = 1
+    #: Spread the runs over this Ray cluster (an address as for ray.init, or 'local' to start one).
+    ray: str | None = None
+    #: Write the report (and a .csv beside it) here as well.
+    report: Path | None = None
+    #: Run nothing: report what is there, as it was evaluated; the plan in --out stays as it is.
+    report_only: bool = False
+    #: Try runs again that failed.
+    retry: bool = False
+    #: Evaluate again what is trained.
+    evaluate_again: bool = False
+
+    def run(self) -> int:
+        plan = self._plan()
+        require_allowed(plan)
+        presets = {method.name: configuration(plan, method.name) for method in plan.trained}
+        console.print(f"reading {len(plan.scenes)} data sets to know them again")
+        data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
+        out = writable_folder(self.out)
+        if not self.report_only and not _is_in(out / PLAN_FILE, plan):
+            write_plan(plan, out / PLAN_FILE)
+        configs = configurations(plan, presets, resolved(out))
+        schedule = Schedule(
+            Store(resolved(out), plan, configs, data, _weights(plan.lpips_weights)),
+            tell=lambda line: console.print(line, soft_wrap=True, markup=False),
+            retry=self.retry,
+            evaluate_again=self.evaluate_again,
+            as_evaluated=self.report_only,
+            program=PROGRAM,
+        )
+        is_written = False
+        try:
+            if not self.report_only:
+                self._work_off(schedule, plan)
+        except KeyboardInterrupt:
+            console.print("stopped: what is done is kept, and the same command goes on from there")
+            raise
+        finally:  # also after CTRL-C: what is done is reported
+            is_written = self._write_report(schedule)
+        if absent := [run for run in schedule.runs if schedule.status[run].kind == "absent"]:
+            first = schedule.status[absent[0]].text
+            console.print(f"{len(absent)} of {len(schedule.runs)} runs left out: {first}", soft_wrap=True)
+        bad = [run for run in schedule.runs if schedule.status[run].kind in ("failed", "blocked")]
+        if bad:
+            console.print(f"{len(bad)} of {len(schedule.runs)} runs failed: the report lists them; --retry")
+        return 0 if is_written and not bad else 1
+
+    def _plan(self) -> Plan:
+        """The plan file (given, or in ``out``) with the flags on top."""
+        stored = self.out / PLAN_FILE
+        if self.plan is not None and not self.plan.is_file():
+            raise FileMissingError(f"there is no plan {self.plan}", "Name a TOML file.")
+        fresh = (self.methods or self.external) and self.scenes and self.budget
+        source = self.plan or (stored if stored.is_file() and not fresh else None)
+        content = read_plan(source) if source else {}
+        flags: dict[str, Any] = {
+            "kind": self.kind,
+            "methods": _split(self.methods),
+            "external": [_external(text) for text in self.external],
+            "scenes": [word for text in self.scenes for word in _scenes(text)],
+            "settings": _split(self.settings),
+            "seeds": [_number(word) for word in _split(self.seeds)],
+            "budgets": _split(self.budget),
+            "set": list(self.set),
+            "margins_of": _split(self.margins_of),
+            "lpips_weights": self.lpips_weights and str(resolved(self.lpips_weights)),
+            "device": self.device,
+            "threads_per_job": self.threads_per_job,
+        }
+        given = {key: value for key, value in flags.items() if value not in (None, [], "")}
+        return make_plan(content | given, Path.cwd())
+
+    def _over_the_plan(self) -> list[str]:
+        """The flags that were given instead of what the plan file says, as words."""
+        given: dict[str, tuple[str, ...]] = {
+            "--kind": (self.kind,) if self.kind else (),
+            "--methods": self.methods,
+            "--external": self.external,
+            "--scenes": self.scenes,
+            "--settings": self.settings,
+            "--seeds": self.seeds,
+            "--budget": self.budget,
+            "--set": self.set,
+            "--margins-of": self.margins_of,
+            "--lpips-weights": (self.lpips_weights.name,) if self.lpips_weights else (),
+            "--device": (self.device,) if self.device else (),
+            "--threads-per-job": (str(self.threads_per_job),) if self.threads_per_job else (),
+        }
+        return [word for flag, values in given.items() if values for word in (flag, *values)]
+
+    def _work_off(self, schedule: Schedule, plan: Plan) -> None:
+        pool: Pool = RayPool(self.ray, plan.threads_per_job) if self.ray else LocalPool(self.jobs)
+        waiting = len(schedule.unsettled())
+        console.print(
+            f"{len(schedule.runs)} runs, {waiting} to be done; in {schedule.store.out}", soft_wrap=True
+        )
+        if not waiting:
+            return
+        with caught(interrupt):
+            if not console.is_terminal:
+                schedule.work_off(pool)
+                return
+            with Live(console=console, auto_refresh=False, transient=True) as live:
+                schedule.work_off(pool, lambda: live.update(progress_table(schedule), refresh=True))
+
+    def _write_report(self, schedule: Schedule) -> bool:
+        """Whether it was written: a report that tells of runs is not replaced by one that tells of none."""
+        given = [self.report] if self.report else []
+        places = [schedule.store.out / REPORT_FILE, *given]
+        is_any_done = any(status.kind == "done" for status in schedule.status.values())
+        if not is_any_done and (kept := [str(path) for path in places if holds_runs(path)]):
+            console.print(
+                f"no run of this plan is done: what is in {', '.join(kept)} is kept. Name another "
+                "folder for this plan, --out, or run it without --report-only.",
+                soft_wrap=True,
+            )
+            return False
+        words = ["--plan", _shown(self.plan)] if self.plan else []
+        words += self._over_the_plan()
+        words += ["--out", str(self.out), *(word for path in given for word in ("--report", _shown(path)))]
+        command = shlex.join(["physhdr", "benchmark", *words])
+        paths = []
+        for path in places:
+            paths += write_report(schedule, path, command)
+        console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
+        return True
+
+
+def configurations(
+    plan: Plan, presets: dict[str, TrainConfig], out: Path
+) -> dict[tuple[str, str], dict[str, Any]]:
+    """By method and scene, what ``config.json`` of its runs will say but for what is each run's own.
+
+    ``presets``: of each method its ``configuration``. Raises ``OutputError``.
+    """
+    # The names of options are those of settings; what differs between runs is typed, too.
+    typed = {method.name: (*options_in(list(plan.words_of(method))), *PER_RUN) for method in plan.trained}
+    found = {}
+    for scene in plan.scenes:
+        for name, config in sized(presets, typed, data_folder(out, plan, scene)).items():
+            found[name, scene.name] = _as_written(config)
+    return found
+
+
+def configuration(plan: Plan, name: str) -> TrainConfig:
+    """The whole configuration of a method by the options that training will be given, before its sizes are
+    found from the data.
+
+    Raises ``BadValueError`` with what the parser says of an unknown preset, option or value.
+    """
+    method = next(method for method in plan.methods if method.name == name)
+    words = list(plan.words_of(method))
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            train = tyro.cli(Train, default=Train(config=preset_named(words)), args=words)
+    except SystemExit as error:
+        lines = [line.strip(" │╭╮╰╯─") for line in said.getvalue().splitlines()]
+        text = " ".join(line for line in lines if line)
+        raise BadValueError(
+            f"the options of the method '{name}' are not understood: {text}", f"They are: {' '.join(words)}"
+        ) from error
+    return train.config
+
+
+def _as_written(config: TrainConfig) -> dict[str, Any]:
+    """As in ``config.json``."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / CONFIG_FILE
+        write_config(path, config, Path(folder), "")
+        return json.loads(path.read_text(encoding="utf-8"))["config"]
+
+
+def _shown(path: Path) -> str:
+    """As it was given; of a whole path the name, for where a checkout lies is nobody else's business."""
+    return path.name if path.is_absolute() else str(path)
+
+
+def _is_in(path: Path, plan: Plan) -> bool:
+    """Whether the file says just this; written by hand, it may say it with comments and relative folders."""
+    try:
+        return make_plan(read_plan(path), path.parent) == plan
+    except PhysHDRError:
+        return False
+
+
+def _weights(path: Path | None) -> str:
+    if path is None:
+        return ""
+    if not path.is_file():
+        raise FileMissingError(f"there are no LPIPS weights at {path}", "See docs/formats.md.")
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _split(words: tuple[str, ...]) -> list[str]:
+    """Words with commas between become several; a defined method stays whole."""
+    parts = [part for word in words for part in ([word] if ":=" in word else word.split(","))]
+    return [part.strip() for part in parts if part.strip()]
+
+
+def _scenes(text: str) -> list[str]:
+    return [text] if Path(text).is_dir() else _split((text,))
+
+
+def _external(text: str) -> dict[str, str]:
+    name, _, folder = text.partition("=")
+    return {"name": name.strip(), "folder": folder.strip()}
+
+
+def _number(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError as error:
+        raise BadValueError(f"'{word}' is not a seed", "Give whole numbers: --seeds 0,1,2") from error
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(Benchmark).run())
+
+
+#: What it adds to the command line (``backend/tables.py``).
+COMMANDS = {"benchmark": Benchmark}
