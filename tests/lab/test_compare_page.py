@@ -17,8 +17,8 @@ import torch
 from physhdr.backend.cli import _command, main
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene import read_scene
-from physhdr.backend.train.trainer import Trainer
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
 from physhdr.lab import peers, presets
 from physhdr.lab.benchmark.external import FIELDS
 from physhdr.lab.benchmark.plan import PLACEHOLDERS, make_plan

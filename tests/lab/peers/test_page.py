@@ -13,9 +13,9 @@ import pytest
 from physhdr.backend.cli import main
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge import presets as named
-from physhdr.backend.train.presets import PRESETS
 from physhdr.lab import peers, presets
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "contributing" / "a-method.md"
