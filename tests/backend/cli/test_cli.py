@@ -18,7 +18,6 @@ import pytest
 import torch
 from PIL import Image
 from plyfile import PlyData
-from safetensors import safe_open
 
 from physhdr.backend.cli import main
 from physhdr.backend.methods.base import Facts
@@ -194,19 +193,6 @@ def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys
     assert "| ambient 0.5 + pendant 2 |" in (run / "evaluation.md").read_text()
     rows = json.loads((run / "evaluation.json").read_text())["relit"]
     assert [row["levels"] for row in rows][2] == {"ambient": 8.0, "pendant": 0.0}
-
-
-def test_a_run_of_before_there_were_several_lights(tiny_data, tmp_path):
-    """Its configuration called the shares' rate otherwise."""
-    run = tmp_path / "run"
-    assert main(["train", str(tiny_data), "--out", str(run), "--iterations", "4"]) == 0
-    config = run / "config.json"
-    config.write_text(config.read_text().replace("light_share_logits", "ambient_share_logits"))
-    assert main(["export", str(run)]) == 0
-    with safe_open(run / "model.safetensors", "numpy") as file:
-        assert "ambient_share" in file.keys() and file.metadata()["modulator"] == "additive"  # noqa: SIM118
-    assert main(["render", str(run), "--out", str(run / "a.exr"), "--lighting-levels", "ambient=2"]) == 0
-    assert main(["train", "--resume", str(run)]) == 0
 
 
 def test_kernels_can_be_compiled_ahead(capsys):

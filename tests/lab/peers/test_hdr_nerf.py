@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from physhdr.backend.evaluate.metrics import psnr
-from physhdr.backend.methods import hdr_nerf
 from physhdr.backend.methods.base import Batch, Facts
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
@@ -18,6 +17,7 @@ from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import TrainConfig, read_config, write_config
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
 from physhdr.bridge.errors import BadValueError
+from physhdr.lab.peers import hdr_nerf
 from physhdr.lab.peers.field import (
     Field,
     FieldConfig,
