@@ -9,7 +9,7 @@ from ...bridge.errors import FileMissingError
 from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerf, nerfstudio
 from .camera import Camera
 from .meaning import with_meaning
-from .plausible import with_words_of_learning
+from .plausible import with_warnings
 from .points import with_words_of_points
 from .scene import Points, Scene, View
 
@@ -58,7 +58,7 @@ def read_scene(root: Path | str, downscale: float | None = None, color_space: st
     for reader in READERS:
         if reader.is_mine(root):
             scene = with_meaning(reader.read_scene(root, downscale), color_space)
-            return with_words_of_learning(with_words_of_points(scene))
+            return with_warnings(with_words_of_points(scene))
     looked_for = "; ".join(f"{reader.looks_for} ({reader.name})" for reader in READERS)
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
     raise FileMissingError(f"{root} {state}: looked for {looked_for}", remedy)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What can be read, but not learned from: too near, from one place, of one exposure."""
+"""Warnings of scenes that can be read but not learned from: too near, from one place, at one exposure."""
 
 import dataclasses
 import math
@@ -13,35 +13,35 @@ from ...bridge.splatting import NEAR_PLANE
 from .camera import Camera
 from .scene import Scene
 
-#: Of what cameras see of points, so much may lie before the near plane: a few strays that stand in front of a
-#: lens; without a word, and at all.
-STRAYS_BEFORE, MOST_BEFORE = 0.01, 0.5
-#: Depths are looked at from so many cameras, of so many points, evenly chosen.
-CAMERAS_ASKED, POINTS_ASKED = 32, 4096
+#: Share of the points that cameras see which may lie before the near plane: without a warning (a few strays
+#: stand in front of a lens), and without an error.
+FEW_BEFORE, MOST_BEFORE = 0.01, 0.5
+#: Depths are sampled: from so many cameras, of so many points, evenly chosen.
+CAMERAS_SAMPLED, POINTS_SAMPLED = 32, 4096
 #: Degrees across the wider side of a picture. Beyond, the focal length is likely not in pixels.
 WIDEST, NARROWEST = 160.0, 0.1
 
 
-def with_words_of_learning(scene: Scene) -> Scene:
-    """The scene with what its messages are to say of what cannot be learned from it.
+def with_warnings(scene: Scene) -> Scene:
+    """The scene, with warnings of what cannot be learned from it among its messages.
 
     Raises ``BadValueError`` where most of its points are too near to be drawn.
     """
     cameras = [view.camera for view in scene.train]
-    told = [_of_places(cameras), _of_lenses(cameras), _of_exposures(scene)]
+    warnings = [_one_place(cameras), _odd_lens(cameras), _one_exposure(scene)]
     if scene.points is not None:
-        told.append(words_of_depths(scene.root, scene.points.positions, cameras))
-    return dataclasses.replace(scene, messages=(*scene.messages, *filter(None, told)))
+        warnings.append(too_near(scene.root, scene.points.positions, cameras))
+    return dataclasses.replace(scene, messages=(*scene.messages, *filter(None, warnings)))
 
 
-def words_of_depths(root: Path, positions: np.ndarray, cameras: Sequence[Camera]) -> str:
-    """What is to be said of points ``[P, 3]`` before the near plane of ``cameras``; empty for next to none.
+def too_near(root: Path, positions: np.ndarray, cameras: Sequence[Camera]) -> str:
+    """A warning of points ``[P, 3]`` before the near plane of ``cameras``; empty where there are few.
 
-    Raises ``BadValueError`` where they are most of those that are seen.
+    Raises ``BadValueError`` where most of those that are seen are.
     """
     depths = _depths(positions, cameras)
     share = float((depths < NEAR_PLANE).mean()) if len(depths) else 0.0
-    if share <= STRAYS_BEFORE:
+    if share <= FEW_BEFORE:
         return ""
     middle = float(np.median(depths))
     what = (
@@ -57,10 +57,10 @@ def words_of_depths(root: Path, positions: np.ndarray, cameras: Sequence[Camera]
 
 def _depths(positions: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
     """``[D]`` metres, of points before the cameras whose pictures they are in."""
-    points = positions[:: max(1, len(positions) // POINTS_ASKED)]
+    points = positions[:: max(1, len(positions) // POINTS_SAMPLED)]
     homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
     found = [np.empty(0)]
-    for camera in cameras[:: max(1, len(cameras) // CAMERAS_ASKED)]:
+    for camera in cameras[:: max(1, len(cameras) // CAMERAS_SAMPLED)]:
         x, y, z = (homogeneous @ camera.world_to_camera.T)[:, :3].T
         with np.errstate(divide="ignore", invalid="ignore"):  # beside the camera, not before it
             across = (camera.fx * x / z + camera.cx) / camera.width
@@ -69,18 +69,18 @@ def _depths(positions: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
     return np.concatenate(found)
 
 
-def _of_places(cameras: Sequence[Camera]) -> str:
+def _one_place(cameras: Sequence[Camera]) -> str:
     spread = float(np.ptp([camera.position for camera in cameras], axis=0).max()) if cameras else math.inf
     if len(cameras) < 2 or spread > NEAR_PLANE:
         return ""
     return (
         f"all {len(cameras)} training cameras are within {spread:.2g} m: if that is one place, nothing tells "
-        "how far away anything is; if not, multiply all positions, for nothing within "
+        "how far away anything is; if not, multiply all positions, because nothing within "
         f"{NEAR_PLANE:g} m is drawn"
     )
 
 
-def _of_lenses(cameras: Sequence[Camera]) -> str:
+def _odd_lens(cameras: Sequence[Camera]) -> str:
     for camera in cameras:
         angle = math.degrees(2.0 * math.atan(max(camera.width / camera.fx, camera.height / camera.fy) / 2.0))
         if not NARROWEST <= angle <= WIDEST:
@@ -91,12 +91,12 @@ def _of_lenses(cameras: Sequence[Camera]) -> str:
     return ""
 
 
-def _of_exposures(scene: Scene) -> str:
-    """Of pictures that clip: those of radiance hold more than one exposure's."""
+def _one_exposure(scene: Scene) -> str:
+    """Only for pictures that clip: a picture of radiance holds more than one exposure's range."""
     seconds = {each for view in scene.train for each in view.exposures}
     if len(seconds) != 1 or not all(encoding.clips for view in scene.train for encoding in view.encodings):
         return ""
     return (
-        f"all pictures have one exposure, {seconds.pop():.4g} s: there is no dynamic range to learn from; "
-        "what is clipped in them stays unknown"
+        f"one exposure ({seconds.pop():.4g} s) for all pictures: there is no dynamic range to learn from "
+        "beyond that of a single picture"
     )

@@ -16,7 +16,7 @@ from ..methods.base import Responses, SplattingMethod
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..model.tone_mapper import Response, ToneMapper
-from ..scene.plausible import words_of_depths
+from ..scene.plausible import too_near
 from ..scene.points import EXACT, STRUCTURE_FROM_MOTION
 from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
@@ -82,8 +82,8 @@ def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
         seed=config.seed,
     )
     message, positions = points.message, points.positions
-    if too_near := words_of_depths(seen.scene.root, positions, [view.camera for view in views]):
-        message += f", {too_near.removesuffix('.')}"
+    if warning := too_near(seen.scene.root, positions, [view.camera for view in views]):
+        message += f", {warning.removesuffix('.')}"
     if seen.merged is not None:
         message += f", brackets merged (noise of {seen.merged.worst:.1f} codes of 255)"
     clearance = None

@@ -13,7 +13,7 @@ from physhdr.backend.cli import main
 from physhdr.backend.inspect import inspect
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import LogEncoding
-from physhdr.backend.scene.plausible import with_words_of_learning
+from physhdr.backend.scene.plausible import with_warnings
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.splatting import NEAR_PLANE
 
@@ -50,7 +50,7 @@ def changed(tiny_data, tmp_path):
 
 def words(scene):
     """What is said of learning, which no reader says."""
-    return with_words_of_learning(replace(scene, messages=())).messages
+    return with_warnings(replace(scene, messages=())).messages
 
 
 def test_an_ordinary_scene_has_nothing_said_of_it(tiny_data):
