@@ -39,10 +39,10 @@ benchmark: setup ## Speed of the kernels against their alternatives, in one run;
 
 # What make report runs, each plan in a folder of its own.
 PLANS := held_out exp1 published relighting faults length ladder
-report: setup ## The comparison, faults, lengths, the paper's steps: docs/tables (days); PLANS=… LPIPS=weights.npz
-	@$(BACKEND) tools/benchmark_data.py --plans $(PLANS:%=benchmarks/%.toml)
-	@for plan in $(PLANS); do .venvs/backend/bin/physhdr benchmark --plan benchmarks/$$plan.toml --jobs 2 \
-		--out runs/report/$$plan --report docs/tables/$$plan.md $(if $(LPIPS),--lpips-weights $(LPIPS)) || exit; done
+report: setup ## The comparison, faults, lengths, the paper's steps: lab/tables (days); PLANS=… LPIPS=weights.npz
+	@$(BACKEND) tools/benchmark_data.py --plans $(PLANS:%=lab/plans/%.toml)
+	@for plan in $(PLANS); do .venvs/backend/bin/physhdr benchmark --plan lab/plans/$$plan.toml --jobs 2 \
+		--out runs/report/$$plan --report lab/tables/$$plan.md $(if $(LPIPS),--lpips-weights $(LPIPS)) || exit; done
 
 gpu-check: ## Is what a card computes right, and how fast? Says so and ends where there is no card
 	@$(WITH_TORCH) tools/gpu_check.py

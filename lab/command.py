@@ -38,7 +38,7 @@ from .benchmark.sized import sized
 class Benchmark:
     """Train and evaluate methods on scenes at equal budgets; runs that exist are not repeated.
 
-    Flags are shorthand for a plan file (docs/benchmarking.md); without either, the plan in --out goes on.
+    Flags are shorthand for a plan file (lab/benchmarking.md); without either, the plan in --out goes on.
     """
 
     #: Folder of the benchmark: its plan, its runs, report.md and report.csv.
@@ -49,7 +49,7 @@ class Benchmark:
     kind: Literal["tune", "report"] | None = None
     #: Presets, with commas or spaces between; or 'NAME := PRESET --option value', one an argument.
     methods: tuple[str, ...] = ()
-    #: Pictures that another program made: NAME=FOLDER, with {scene} and so on (docs/compare.md).
+    #: Pictures that another program made: NAME=FOLDER, with {scene} and so on (lab/compare.md).
     external: tuple[str, ...] = ()
     #: Folders of data sets; NAME=FOLDER to name one.
     scenes: tuple[str, ...] = ()

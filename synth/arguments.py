@@ -112,7 +112,7 @@ def _add_pictures(made: argparse.ArgumentParser) -> None:
         "--test-truth",
         metavar="FOLDER",
         help="take test and validation views that were rendered before and are kept, such as those in "
-        "benchmarks/data/dog; needs --relit-views 0",
+        "lab/data/dog; needs --relit-views 0",
     )
     add(
         "--renders-of",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""README.md and docs/: links lead somewhere, and files and names that pages mention exist."""
+"""README.md, docs/ and lab/: links lead somewhere, and files and names that pages mention exist."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "lab").rglob("*.md")])
 #: Folders of the repository, by whose names a path in a page is known to be one of it.
 FOLDERS = "addon|backend|benchmarks|bridge|docs|lab|locks|synth|tests|tools"
 

@@ -3,11 +3,11 @@
 
     .venvs/backend/bin/python tools/benchmark_data.py                     the seven open scenes
     .venvs/backend/bin/python tools/benchmark_data.py dog dog-iso1600     these alone
-    .venvs/backend/bin/python tools/benchmark_data.py --plans benchmarks/exp1.toml   what plans ask for
+    .venvs/backend/bin/python tools/benchmark_data.py --plans lab/plans/exp1.toml   what plans ask for
 
 200×200, 35 poses, no lit views (SCENE-lit has them): every method trains on the same pictures. Training views
 are rendered (2 to 5 minutes of two cores a scene); the truth of test and validation views is taken from
-benchmarks/data. A name SCENE-CAMERA is the scene as another camera takes it, from the same renders (CAMERAS).
+lab/data. A name SCENE-CAMERA is the scene as another camera takes it, from the same renders (CAMERAS).
 Beside the exact points of the renders each folder has those of structure from motion (``physhdr
 triangulate``).
 """
@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "data" / "benchmark"
-KEPT = ROOT / "benchmarks" / "data"
+KEPT = ROOT / "lab" / "data"
 COMMON = ("--resolution", "200", "--workers", "2")
 PLAIN = ("--lit-views", "0", "--relit-views", "0")
 #: SCENE-lit: training views under other light as well, and truth at levels that none of them has. Test views
@@ -39,17 +39,17 @@ SAMPLES = {
     "chair": 64,
     "desk": 64,
 }
-#: Rendered only when they are named (benchmarks/README.md).
+#: Rendered only when they are named (lab/plans/README.md).
 SEALED = ("chair", "desk")
 #: Validation views of the scenes that choices are made on, as tools/keep_truth.py has them.
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
-#: What is made without a name: the open scenes, and what benchmarks/ladder.toml asks for beside them.
+#: What is made without a name: the open scenes, and what lab/plans/ladder.toml asks for beside them.
 USUAL = (*(name for name in SAMPLES if name not in SEALED), "bathroom-local")
 #: What real cameras do (docs/camera.md): what make_scene.py is told of it.
 CAMERAS = {
     "srgb": ("--crf", "srgb"),
     "filmic": ("--crf", "filmic"),
-    "measured": ("--crf", str(ROOT / "benchmarks" / "curves" / "olympus-e-m10-ii.txt")),
+    "measured": ("--crf", str(ROOT / "lab" / "curves" / "olympus-e-m10-ii.txt")),
     "local": ("--local-response", "0.7"),
     "iso100": ("--iso", "100"),
     "iso1600": ("--iso", "1600"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render the test truth that is kept in benchmarks/data, a little better with every pass.
+"""Render the test truth that is kept in lab/data, a little better with every pass.
 
     .venvs/run-blender tools/keep_truth.py -- bear dog --passes 256 --work FOLDER
     .venvs/run-blender tools/keep_truth.py -- bear --passes 256,1024,1024 --reference --work FOLDER
@@ -40,7 +40,7 @@ from physhdr.synth.stage import CameraHints
 from physhdr.synth.truth import PASS, TruthRenderer, pass_seed
 
 ROOT = Path(__file__).resolve().parent.parent
-DATA = ROOT / "benchmarks" / "data"
+DATA = ROOT / "lab" / "data"
 SIZE, VIEWS, RIG, SEED, DENOISE = (200, 200), 35, "grid", 0, True
 #: Of the scenes that choices are made on.
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}

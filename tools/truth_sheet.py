@@ -23,7 +23,7 @@ from physhdr.bridge.errors import PhysHDRError
 from physhdr.synth.png import quantise
 from physhdr.synth.response import reinhard_gamma
 
-DATA = Path(__file__).resolve().parent.parent / "benchmarks" / "data"
+DATA = Path(__file__).resolve().parent.parent / "lab" / "data"
 AMPLIFIED = 16
 EXPOSURES = (0, 2, 4)
 HEADER = (

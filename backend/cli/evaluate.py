@@ -35,7 +35,7 @@ from .told import Say, answered, progress, saying
 class Evaluate:
     """LDR-OE, LDR-NE, HDR and relighting against the truth: tables, files and a comparison sheet.
 
-    Of a run, or of pictures that any other program made (--pictures; docs/compare.md).
+    Of a run, or of pictures that any other program made (--pictures; lab/compare.md).
     """
 
     #: Folder of the run.

@@ -29,7 +29,7 @@ from .pictures import finite
 from .renderer import Renderer
 from .results import VIEWS_OF
 
-MEND = "Write it again: it is called, and as large, as the data set's own picture; docs/compare.md says more."
+MEND = "Write it again: it is called, and as large, as the data set's own picture; lab/compare.md says more."
 ALL_OR_NONE = "Write it, or none of its kind: a mean over some of the views compares with no other."
 #: Of a 16-bit picture.
 DEEP = float(LARGEST[np.dtype(np.uint16)])

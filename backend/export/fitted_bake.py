@@ -36,7 +36,7 @@ from ..simd import run_parallel, run_ranges
 MOST_VIEWS = 48
 #: Focal lengths there, of the cameras': what lies beside their pictures will be looked at, too. And their
 #: pictures are finer, up to a screen's width: viewers show more pixels than the data set's pictures have,
-#: and colours that were fitted to those alone are speckled there. (docs/notebook.md, Colours for viewers)
+#: and colours that were fitted to those alone are speckled there. (lab/notebook.md, Colours for viewers)
 WIDER, FINER, SCREEN = 0.8, 3.0, 1600
 #: Weights that are held, 8 bytes each; where all pixels have more, so many of the pixels are fitted to, as
 #: many of each view.

@@ -23,7 +23,7 @@ class LossConfig:
     dssim_weight: float = 0.3
     #: λ2, the weight of L_cons (needs both branches).
     consistency_weight: float = 0.0
-    #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/notebook.md).
+    #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (lab/notebook.md).
     consistency_domain: Literal["linear", "log"] = "log"
     #: The branch that L_cons takes as it is, so that the other alone follows; none: both move.
     consistency_stop_gradient: Literal["none", "image-exposure", "illumination"] = "none"

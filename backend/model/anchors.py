@@ -379,7 +379,7 @@ class Anchors(Backbone):
         their picture; ln H_r is fitted to what the network says in the directions that they really see it
         from, weighted by the opacity there; illumination, shares of light and context have no direction and
         stay. What no camera sees is left out. Lost are opacities and shapes that change with the direction
-        (docs/notebook.md says what that costs), and details finer than the harmonics.
+        (lab/notebook.md says what that costs), and details finer than the harmonics.
         """
         if not cameras:
             raise BadValueError("anchors can only be fixed for cameras", "Give the training cameras.")

@@ -35,7 +35,7 @@ class Attributes:
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """How a backbone begins; docs/notebook.md says what was measured.
+    """How a backbone begins; lab/notebook.md says what was measured.
 
     ``opacity`` in (0, 1); ``scale_factor``: standard deviation over the distance to the neighbours;
     ``thickness``: how much of it across the surface that neighbours make;

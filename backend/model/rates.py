@@ -8,7 +8,7 @@ from typing import Literal
 
 from ...bridge.errors import BadValueError
 
-#: The power by which a rate falls (docs/notebook.md).
+#: The power by which a rate falls (lab/notebook.md).
 FALL = 3
 
 

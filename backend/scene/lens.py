@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures without distortion: what a pinhole camera at the same place would have taken, or smaller.
 
-What a lens does to a ray is pycolmap's to say; the resampling is ours (docs/notebook.md has both measured).
+What a lens does to a ray is pycolmap's to say; the resampling is ours (lab/notebook.md has both measured).
 """
 
 import math

@@ -17,7 +17,7 @@ asked at the code ẑ that the rest of the solution expects, and how the observa
 residual, round by round.
 
 Gradient descent beside the scene does not find a lens: where cameras look inward, a scene that is darker at
-its borders explains nearly the same, and it is what gradients find first (docs/notebook.md).
+its borders explains nearly the same, and it is what gradients find first (lab/notebook.md).
 """
 
 import math

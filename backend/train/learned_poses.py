@@ -43,7 +43,7 @@ NEAREST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig:
-    """How poses are learned. Measured: docs/notebook.md."""
+    """How poses are learned. Measured: lab/notebook.md."""
 
     #: auto: of photographs (``Scene.photographs``), not of renders.
     mode: Literal["auto", "on", "off"] = "auto"

@@ -50,7 +50,7 @@ COST_VOLUMES = 3
 RAYS_BYTES = 100_000_000
 
 #: Where growth has no bound, so many Gaussians come of a first point: 17,600 became 162,000 to 188,000
-#: (docs/notebook.md). Anchors have many to begin with.
+#: (lab/notebook.md). Anchors have many to begin with.
 GROWTH, ANCHOR_GROWTH = 10, 3
 #: Pictures smaller by this on each side are tried as a remedy, and no fewer Gaussians than these.
 SMALLER, FEWEST_GAUSSIANS = (2, 4, 8), 5000

@@ -45,7 +45,7 @@ LN2 = math.log(2.0)
 
 @dataclass(frozen=True, kw_only=True)
 class NuisanceConfig:
-    """What is learned of the camera beside its response. Measured: docs/notebook.md.
+    """What is learned of the camera beside its response. Measured: lab/notebook.md.
 
     Rates are of natural logarithms, for each time that a photo is seen; they fall to zero by a cosine.
     """

@@ -21,7 +21,7 @@ class OptimiserConfig:
     """Learning rates; ``means`` are multiplied by the scene's extent (3DGS).
 
     Defaults: preset ``default``, which trains a tenth of 3DGS's iterations and therefore moves faster
-    (measured: docs/notebook.md). ``STOCK_3DGS`` are 3DGS's own.
+    (measured: lab/notebook.md). ``STOCK_3DGS`` are 3DGS's own.
     """
 
     means: float = 1.6e-4
@@ -42,7 +42,7 @@ class OptimiserConfig:
     networks_times: float = 1.0
     #: The length of training, in iterations, that the Gaussians' rates are for. In a longer one they fall
     #: from there on, by (rates_for / iteration)³: at full rates it would go on to learn the pictures' noise
-    #: (docs/notebook.md). 0: constant, however long it is (3DGS).
+    #: (lab/notebook.md). 0: constant, however long it is (3DGS).
     rates_for: int = 2500
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
     cosine: Literal["networks", "all"] = "networks"

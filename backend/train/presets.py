@@ -24,7 +24,7 @@ from .nuisances import NuisanceConfig
 from .optimisers import STOCK_3DGS, OptimiserConfig
 
 #: For a tenth of the iterations and less, on a CPU, where every anchor costs an evaluation of the networks:
-#: fewer anchors, and rates three times as large (docs/notebook.md has what was measured).
+#: fewer anchors, and rates three times as large (lab/notebook.md has what was measured).
 SHORT_TRAINING = AnchorsConfig(
     placement=32,
     rates=AnchorRates(
@@ -125,7 +125,7 @@ def fast(iterations: int = 1250) -> TrainConfig:
 
 
 def high(iterations: int = 10_000) -> TrainConfig:
-    """``default`` for a night: four times its iterations. More Gaussians lose (docs/notebook.md)."""
+    """``default`` for a night: four times its iterations. More Gaussians lose (lab/notebook.md)."""
     return TrainConfig(iterations=iterations, sh_degree_every=4 * TrainConfig().sh_degree_every)
 
 
@@ -137,7 +137,7 @@ def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
 def default_scaffold(iterations: int = 2500) -> TrainConfig:
     """``default`` on anchors, whose iterations are dear: fewer Gaussians each, longer at half size.
 
-    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and cheaper (docs/notebook.md).
+    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and cheaper (lab/notebook.md).
     """
     config = TrainConfig(iterations=iterations, half_size_until=0.3)
     return on_anchors(config, dataclasses.replace(SHORT_TRAINING, offsets=5))

@@ -25,7 +25,7 @@ FIELDS: dict[str, tuple[str, Callable[[float], float]]] = {
     "gaussians": ("gaussians", int),
     "memory_MB": ("peak_memory", lambda megabytes: int(1e6 * megabytes)),
 }
-REMEDY = "Each is a number, 0 or more, and any may be missing (docs/compare.md)."
+REMEDY = "Each is a number, 0 or more, and any may be missing (lab/compare.md)."
 
 
 def read_cost(folder: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What data sets are of: what each built-in scene may be used for, and that a plan keeps to it
-(benchmarks/README.md); and which data sets show one room.
+(lab/plans/README.md); and which data sets show one room.
 """
 
 from pathlib import Path

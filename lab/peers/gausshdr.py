@@ -54,7 +54,7 @@ class GaussHDRConfig(MethodConfig):
     #: Of both uncertainties' likelihoods (the code has 1, the paper is said to have ½).
     uncertainty_weight: float = 1.0
     #: Let the likelihood of the 3-D uncertainty move and fade the splats it is drawn with. The network's
-    #: inputs are kept from learning of it; through the drawing it costs 4.7 dB (docs/notebook.md).
+    #: inputs are kept from learning of it; through the drawing it costs 4.7 dB (lab/notebook.md).
     uncertainty_moves_splats: bool = False
     #: No uncertainty is smaller.
     least_uncertainty: float = 0.1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""docs/compare.md does what it says: its folder is measured, its method trains, its commands exist."""
+"""lab/compare.md does what it says: its folder is measured, its method trains, its commands exist."""
 
 import dataclasses
 import importlib.util
@@ -24,7 +24,7 @@ from physhdr.lab.benchmark.external import FIELDS
 from physhdr.lab.benchmark.plan import PLACEHOLDERS, make_plan
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "compare.md"
+PAGE = ROOT / "lab" / "compare.md"
 CODE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 

@@ -148,10 +148,10 @@ def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
     assert wanted[0] == wanted[1]
 
 
-@pytest.mark.parametrize("scene", sorted(path.name for path in (ROOT / "benchmarks" / "data").glob("*/")))
+@pytest.mark.parametrize("scene", sorted(path.name for path in (ROOT / "lab" / "data").glob("*/")))
 def test_what_is_kept_has_the_passes_that_it_says(scene):
     """Of every view, in its own header: once views of a second pass were told of that had not come along."""
-    folder = ROOT / "benchmarks" / "data" / scene
+    folder = ROOT / "lab" / "data" / scene
     told = json.loads((folder / kept.TRUTH_FILE).read_text())
     facts = {path.name: kept.read(path)[1] for path in sorted(folder.glob("*.exr"))}
     assert len(facts) == 17 + told["validation_views"]

@@ -13,7 +13,7 @@ from physhdr.synth.errors import ResponseFileError, UnknownNameError
 from physhdr.synth.png import quantise
 
 #: An in-camera JPEG's response; its header says who measured it, and how.
-MEASURED = Path(__file__).parents[2] / "benchmarks/curves/olympus-e-m10-ii.txt"
+MEASURED = Path(__file__).parents[2] / "lab/curves/olympus-e-m10-ii.txt"
 #: (raw, linear JPEG value): the knots that were published.
 KNOTS = np.array([
     (0.005707, 0.004764), (0.018944, 0.024456), (0.054501, 0.129992), (0.075665, 0.211873),

@@ -15,7 +15,7 @@ from physhdr.backend.start.response import bracket_response, display_response
 SIZE = (160, 120)
 STOPS = (0.05, 0.8, 12.8)  # sixteenfold, as HDR-NeRF's synthetic scenes
 EXPOSURES = (0.05, 0.2, 0.8, 3.2, 12.8)
-OLYMPUS = Path(__file__).parents[3] / "benchmarks" / "curves" / "olympus-e-m10-ii.txt"
+OLYMPUS = Path(__file__).parents[3] / "lab" / "curves" / "olympus-e-m10-ii.txt"
 
 
 def srgb(x):

@@ -89,7 +89,7 @@ def test_what_cannot_be_run_is_refused(file, old, new, said):
         make_plan(read_plan(file), Path.cwd())
 
 
-PLANS = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "benchmarks").rglob("*.toml"))
+PLANS = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "lab" / "plans").rglob("*.toml"))
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -173,7 +173,7 @@ def test_what_the_disk_refuses_is_one_clear_message(tiny_data, tmp_path, monkeyp
 
 
 def test_what_the_example_sets_acts_on_every_method(tiny_data):
-    """``set`` in docs/benchmarking.md and in the help."""
+    """``set`` in lab/benchmarking.md and in the help."""
     content = {"methods": ["default", "default-scaffold", "hdr-nerf", "gausshdr", "hdr-gs"]}
     content |= {"scenes": [str(tiny_data)], "budgets": ["iterations=5"], "set": ["downscale=2"]}
     plan = make_plan(content, tiny_data)
