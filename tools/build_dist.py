@@ -98,7 +98,10 @@ def tracked(root: Path) -> set[str]:
 
 def in_wheel(names: set[str]) -> set[str]:
     """Which of ``names`` the wheel must hold, and nothing beside them."""
-    return {name for name in names if name.partition("/")[0] in ROOMS} | {"__init__.py"} | READ
+    in_rooms = {name for name in names if name.partition("/")[0] in ROOMS}
+    # Of the lab its code alone: plans, tables and kept truth are for checkouts.
+    code = {name for name in in_rooms if name.endswith(".py") or not name.startswith("lab/")}
+    return code | {"__init__.py"} | READ
 
 
 def call(kind: str, folder: Path, out: Path) -> None:
