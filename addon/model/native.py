@@ -18,7 +18,7 @@ from ...bridge import native_splats
 from ...bridge.errors import DataMismatchError
 from ...bridge.splatting import ALPHA_MIN
 from ..blender import cloud_of, marked_when_whole, sample_as_no_lamp
-from .attributes import BASE, DISPLAY, RADIANCE, SCALE
+from .attributes import BASE, DISPLAY, LOG_SH, RADIANCE, SCALE
 from .node_builder import Field, GeometryBuilder, NodeBuilder
 from .nodes import CAMERA_SPLATS, MARK, find_modifier
 from .point_cloud import model_of, read_attribute, write_attribute
@@ -80,8 +80,13 @@ def revert(target: bpy.types.Object) -> None:
 
 
 def prepare(target: bpy.types.Object) -> None:
-    """All of ``convert`` that any Blender can do: everything but the type."""
+    """All of ``convert`` that any Blender can do: everything but the type. Raises as that does."""
     cloud = cloud_of(target)
+    if LOG_SH[0].name not in cloud.attributes:
+        raise DataMismatchError(
+            f"the point cloud {cloud.name!r} is no PhysHDR model",
+            "Choose an imported model, or import it again.",
+        )
     scale = read_attribute(cloud, SCALE.name)
     packed = native_splats.packable(scale)
     if packed is not scale:

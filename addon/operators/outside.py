@@ -10,8 +10,8 @@ from .base import choices
 
 
 class PHYSHDR_OT_outside_look(bpy.types.Operator):
-    """Look at the folders and files that this .blend names outside it: data set, run, photos. Nothing there is
-    read before, because the file may be a stranger's"""
+    """Look at the folders and files that this .blend names outside it: data set, run, photos. Nothing there
+    is read before, because the file may be a stranger's"""
 
     bl_idname = outside.LOOK
     bl_label = "Look at Them"

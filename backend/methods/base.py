@@ -165,7 +165,7 @@ class Batch:
 
     ``recordings``: one for each exposure; ``levels``: one a light. ``pool`` and ``seed``: for methods that
     sample pixels of all pictures themselves. ``index``: the view's (``View.index``), whose ``camera`` may be
-    at half its size, or moved.
+    at half its size, or moved. ``progress``: the share of the training that is done.
     """
 
     camera: Camera
@@ -175,6 +175,7 @@ class Batch:
     pool: Pool
     seed: tuple[int, ...] = (0,)
     index: int = 0
+    progress: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -59,11 +59,13 @@ class FirstPoints:
     """Where Gaussians start, ``positions`` ``[P, 3]`` (metres), and whence: a line for the user.
 
     ``colours`` ``[P, 3]`` in [0, 1]: those of the data set's points, None where they come from elsewhere.
+    ``are_random``: they do not say where the scene is.
     """
 
     positions: np.ndarray
     message: str
     colours: np.ndarray | None = None
+    are_random: bool = False
 
 
 def initial_points(
@@ -88,7 +90,7 @@ def initial_points(
     points = _points(scene, views, exposures, response, source, random_count, budget, seed)
     order = morton_order(torch.as_tensor(points.positions)).numpy()
     colours = None if points.colours is None else points.colours[order]
-    return FirstPoints(points.positions[order], points.message, colours)
+    return replace(points, positions=points.positions[order], colours=colours)
 
 
 def _points(
@@ -138,7 +140,8 @@ def _given_points(scene: Scene) -> FirstPoints | None:
 
 
 def _random(scene: Scene, count: int, seed: int, why: str) -> FirstPoints:
-    return FirstPoints(random_points(scene.train, count, seed), f"{count:,} random points ({why})")
+    positions = random_points(scene.train, count, seed)
+    return FirstPoints(positions, f"{count:,} random points ({why})", are_random=True)
 
 
 def seen_points(views: list[View], exposures: list[tuple[int, ...]], response: Response) -> np.ndarray:

@@ -6,6 +6,7 @@ none, on three levels: the finer the cell, the larger the gradient must be. Anch
 transparent go. Functions over an explicit state, as ``densify``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..model.morton import morton_order
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .densify import gradient_scaling
-from .growth import NoGaussiansLeftError
+from .growth import Growth, NoGaussiansLeftError
 from .optimisers import Optimiser
 
 
@@ -215,8 +216,8 @@ def grow_and_prune(
     return AnchorStatistics(moved(opacity_sum), moved(visits), moved_each(gradient_sum), moved_each(draws))
 
 
-class AnchorGrowth:
-    """The strategy bound to one training (``growth.Growth``). ``seed``: of the candidates that are kept.
+class AnchorGrowth(Growth):
+    """The strategy bound to one training. ``seed``: of the candidates that are kept.
 
     Raises ``BadValueError`` where the method's backbone is not anchors.
     """
@@ -252,7 +253,7 @@ class AnchorGrowth:
         voxel = torch.tensor(self.anchors.voxel_size, dtype=torch.float64)
         return dict(vars(self.statistics)) | {"voxel_size": voxel}
 
-    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+    def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
         tensors = dict(tensors)
         self.anchors.voxel_size = float(tensors.pop("voxel_size"))
         self.statistics = AnchorStatistics(**tensors)

@@ -82,7 +82,8 @@ def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
         seed=config.seed,
     )
     message, positions = points.message, points.positions
-    if warning := too_near(seen.scene.root, positions, [view.camera for view in views]):
+    cameras = [view.camera for view in views]
+    if not points.are_random and (warning := too_near(seen.scene.root, positions, cameras)):
         message += f", {warning.removesuffix('.')}"
     if seen.merged is not None:
         message += f", brackets merged (noise of {seen.merged.worst:.1f} codes of 255)"

@@ -7,7 +7,7 @@ and then so that what nobody needs can vanish (all 3DGS's).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..rasterize.reference import rotation_matrices
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .clearance import floating
-from .growth import NoGaussiansLeftError
+from .growth import Growth, NoGaussiansLeftError
 from .optimisers import Optimiser
 
 #: What a checkpoint calls the distances before which nothing is.
@@ -192,8 +192,8 @@ def reset_opacity(method: SplattingMethod, optimiser: Optimiser, config: Densify
     optimiser.clear_moments(logits)
 
 
-class GaussianGrowth:
-    """The strategy bound to one training (``growth.Growth``). ``seed``: of the places of split Gaussians.
+class GaussianGrowth(Growth):
+    """The strategy bound to one training. ``seed``: of the places of split Gaussians.
 
     ``clearance`` ``[V]``, of ``cameras``: what is nearer is removed (``clearance.py``); None: nothing is.
     """
@@ -239,5 +239,5 @@ class GaussianGrowth:
         cleared = {} if self.clearance is None else {CLEARANCE: self.clearance}
         return dict(vars(self.statistics)) | cleared
 
-    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+    def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
         self.statistics = DensifyState(**{name: tensors[name] for name in vars(self.statistics)})

@@ -19,7 +19,6 @@ import torch
 from ..model.gaussians import Gaussians
 from ..simd import give_back_freed_memory
 from .config import TrainConfig
-from .growth import NoGrowth
 from .memory import sizes_of
 from .trainer import Trainer
 
@@ -172,7 +171,7 @@ def _copy(trainer: Trainer) -> Trainer:
     kept = [trainer.scene, trainer.config, trainer.pictures, trainer.device, *trainer.views]
     memo = {id(each): each for each in kept}
     result = copy.deepcopy(trainer, memo)
-    result.growth = NoGrowth()  # numbers of Gaussians are set here
+    result.parts = tuple(part for part in result.parts if part is not result.growth)  # numbers are set here
     return result
 
 

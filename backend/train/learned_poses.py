@@ -29,11 +29,13 @@ from scipy.spatial.transform import Rotation
 
 from ...bridge.axes import camera_to_world_opengl
 from ...bridge.errors import BadValueError
+from ..methods.base import Batch, Outcome
 from ..model.backbone import Splats
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from ..scene.scene import View
 from .nuisances import ADAM_EPSILON, BETAS
+from .parts import Part, Shot
 
 #: ω and τ.
 NUMBERS = 6
@@ -87,12 +89,14 @@ def _crossed(pairs: torch.Tensor) -> torch.Tensor:
     return torch.stack([pairs[1, 2] - pairs[2, 1], pairs[2, 0] - pairs[0, 2], pairs[0, 1] - pairs[1, 0]])
 
 
-class LearnedPoses:
+class LearnedPoses(Part):
     """Of each training view, ``twist`` ``[V, 6]`` pixels: 0 at the start. All on the host, float64.
 
     ``positions`` ``[P, 3]`` metres: of the first primitives, for depths. What a view's gradient says is
     heeded when the view is drawn again: a card's host need not wait for it.
     """
+
+    name = "poses"
 
     def __init__(self, views: Sequence[View], config: PoseConfig, positions: torch.Tensor) -> None:
         self.config = config
@@ -109,6 +113,17 @@ class LearnedPoses:
         #: Radians and metres of a pixel, ``[V, 6]``.
         self.pixel = _pixels(self._cameras, positions.detach().double().cpu().numpy())
         self._together = _together(self._cameras, self.pixel)
+
+    def before(self, batch: Batch, shot: Shot) -> Batch:
+        return replace(batch, camera=self.posed(shot.view, batch.camera, batch.progress))
+
+    def term(self, outcome: Outcome) -> None:
+        if outcome.drawn is not None:
+            self.watch(outcome.drawn.splats)
+
+    def after(self, outcome: Outcome, batch: Batch) -> None:
+        if outcome.drawn is not None:
+            self.observe(outcome.drawn.splats, batch.camera, batch.progress)
 
     def posed(self, view: View, camera: Camera, progress: float) -> Camera:
         """``camera``, which is the view's at any size, where it is now. ``progress``: of the training.
@@ -174,7 +189,6 @@ class LearnedPoses:
     # -- checkpoints -------------------------------------------------------------------------------------
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that going on needs, by name."""
         for row, (buffer, arrived) in self._coming.items():
             arrived.synchronize()
             self.waiting[row] = buffer.numpy()
@@ -191,7 +205,6 @@ class LearnedPoses:
         }
 
     def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Take back what ``tensors`` gave."""
         arrays = {name: tensor.cpu().numpy() for name, tensor in tensors.items()}
         self.twist[...], self.pixel[...] = arrays["twist"], arrays["pixel"]
         self.moments[0], self.moments[1] = arrays["exp_avg"], arrays["exp_avg_sq"]

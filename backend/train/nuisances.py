@@ -25,12 +25,13 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError
-from ..methods.base import Recording
+from ..methods.base import Batch, Outcome, Recording
 from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangent, widest
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import View
 from ..start.photometry import ONE_EXPOSURE, Photometry, Untold, photometry, point_effects
+from .parts import Part, Shot
 
 #: Adam's, for values that are seen a few dozen times in a training.
 BETAS = (0.8, 0.95)
@@ -84,12 +85,14 @@ def telling_share(recording: Recording) -> torch.Tensor:
     return (share * recording.mask).sum() / recording.mask.sum().clamp_min(1)
 
 
-class Nuisances:
+class Nuisances(Part):
     """What is learned of each photo of a training. ``exposures[i]``: positions in ``views[i]``'s bracket.
 
     ``log_gain`` ``[P]`` of each photo, ``log_balance`` ``[V, 2]`` of red and blue at each place,
     ``vignetting`` ``[L, 3]`` of each lens (``falloff``); all natural logarithms, all 0 at the start.
     """
+
+    name = "nuisances"
 
     def __init__(
         self,
@@ -196,13 +199,22 @@ class Nuisances:
 
     # -- in an iteration -------------------------------------------------------------------------------
 
+    def before(self, batch: Batch, shot: Shot) -> Batch:
+        return replace(batch, recordings=tuple(self.applied(*shot, batch.camera, batch.recordings)))
+
+    def term(self, outcome: Outcome) -> torch.Tensor:
+        return self.prior()
+
+    def step(self, batch: Batch) -> None:
+        self.learn(batch.progress)
+
     def applied(
         self, view: View, indices: Sequence[int], camera: Camera, recordings: Sequence[Recording]
     ) -> list[Recording]:
         """The recordings of the view's photos ``indices``, each with its effect ``[3, H, W]``.
 
-        ``camera``: the view's at the recordings' size. From now on until ``step`` these photos are those that
-        were seen.
+        ``camera``: the view's at the recordings' size. From now on until ``learn`` these photos are those
+        that were seen.
         """
         rows = [self._photo[view, k] for k in indices]
         place, lens = self._place[view], self._lens[view]
@@ -236,7 +248,7 @@ class Nuisances:
         return self.config.prior * (gains.square().mean() + balance.square().mean())
 
     @torch.no_grad()
-    def step(self, progress: float) -> None:
+    def learn(self, progress: float) -> None:
         """Move what was seen by the gradients that are there, then back into the gauge.
 
         ``progress``: share of the training that is done.
@@ -283,7 +295,6 @@ class Nuisances:
     # -- checkpoints -----------------------------------------------------------------------------------
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that going on needs, by name."""
         known = self.lens_is_known
         named = {**self.values, "telling": self.telling, "reach": self.reach, "lens_is_known": known}
         for name in self.values:
@@ -293,7 +304,6 @@ class Nuisances:
 
     @torch.no_grad()
     def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Take back what ``tensors`` gave."""
         for name, mine in self.tensors().items():
             mine.copy_(tensors[name])
 

@@ -45,11 +45,12 @@ from .checkpoint import (
 from .config import TrainConfig, fingerprint, in_iterations
 from .densify import CLEARANCE, GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
-from .growth import Growth, NoGrowth
+from .growth import Growth
 from .half_size import halved
 from .learned_poses import LearnedPoses
 from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
+from .parts import Part, Shot
 from .targets import SsimTargets
 from .views import (
     STREAM_BATCH,
@@ -68,12 +69,6 @@ from .views import (
 PRIMITIVES = "gaussians."
 #: Prefix of the networks of method and backbone.
 NETWORKS = "networks."
-#: Prefix of what growth counts.
-STATISTICS = "statistics."
-#: Prefix of what is learned of each photo.
-NUISANCES = "nuisances."
-#: Prefix of what is learned of where each view was taken from.
-POSES = "poses."
 
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
 CHECKPOINT_SECONDS = 30.0
@@ -136,20 +131,23 @@ class Trainer:
         #: What is learned of each photo; None where nothing is.
         self.nuisances = self._new_nuisances()
         #: Before these depths nothing was photographed; None where Gaussians may be anywhere.
-        self._clearance = state.get(f"{STATISTICS}{CLEARANCE}")
-        #: Where the views were taken from, as it is learned; None where it is taken as stated.
-        self.poses: LearnedPoses | None = None
+        self._clearance = state.get(f"{Growth.name}.{CLEARANCE}")
         if not resumed:
             self._begin()
         elif self._clearance is not None and self._clearance.shape != (len(self.views),):
             raise damaged(resumed / CHECKPOINT_FILE, "its clearances are not one a view")
+        #: Where the views were taken from, as it is learned; None where it is taken as stated.
+        self.poses = self._new_poses()
         self.method.to_device(self.device)
         if config.calibration is not None and self.method.splatting is not None:
             freeze_response(self.method.splatting)
         self.optimiser = Optimiser(
             self.method, config.optimiser, scene_extent(scene.train), config.iterations
         )
+        #: How primitives are added and removed; None of methods without any.
         self.growth = self._new_growth()
+        rows = (self.poses, self.nuisances, self.growth)
+        self.parts: tuple[Part, ...] = tuple(part for part in rows if part is not None)
         if resumed:
             self._restore_state(state, resumed / CHECKPOINT_FILE)
             self._follow_schedule(self.iteration)
@@ -176,7 +174,6 @@ class Trainer:
             self._calibrate(self.config.calibration)
         if self.method.splatting is not None:
             self._place(self.method.splatting)
-        self.poses = self._new_poses()
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
 
@@ -194,11 +191,11 @@ class Trainer:
         first = begin(method, seen, self.config)
         self.start_message, self._clearance = first.message, first.clearance
 
-    def _new_growth(self) -> Growth:
+    def _new_growth(self) -> Growth | None:
         config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
         method = self.method.splatting
         if method is None:
-            return NoGrowth()
+            return None
         if isinstance(method.backbone, Anchors):
             return AnchorGrowth(method, self.optimiser, config.iterations, seed)
         cameras = [view.camera for view in self.views]
@@ -270,7 +267,7 @@ class Trainer:
 
     # -- one iteration -----------------------------------------------------------------------------------
 
-    def draw(self, iteration: int) -> tuple[View, tuple[int, ...]]:
+    def draw(self, iteration: int) -> Shot:
         """The view of an iteration (from 0), a shuffle of all views each epoch, and its pictures.
 
         One position in its bracket, drawn anew; with ``supervision`` "bracket" all that training may see.
@@ -279,9 +276,9 @@ class Trainer:
         order = np.random.default_rng([self.config.seed, STREAM_VIEWS, epoch]).permutation(len(self.views))
         index = int(order[position])
         if self.config.supervision == "bracket":
-            return self.views[index], self.exposures[index]
+            return Shot(self.views[index], self.exposures[index])
         rng = np.random.default_rng([self.config.seed, STREAM_EXPOSURES, 1 << 32, iteration])
-        return self.views[index], (int(rng.choice(self.exposures[index])),)
+        return Shot(self.views[index], (int(rng.choice(self.exposures[index])),))
 
     def picture(self, view: View, k: int) -> torch.Tensor:
         """``[3, H, W]`` in [0, 1], on the device: what methods that sample all pictures ask for."""
@@ -305,7 +302,7 @@ class Trainer:
     def batch(self, iteration: int) -> Batch:
         """What an iteration (from 0) sees."""
         config = self.config
-        view, indices = self.draw(iteration)
+        shot = view, indices = self.draw(iteration)
         camera, recordings = view.camera, [self.recording(view, k) for k in indices]
         is_half = iteration < config.half_size_until * config.iterations
         if is_half:
@@ -314,11 +311,7 @@ class Trainer:
             self.targets.noted(view, k, recording, is_half)
             for k, recording in zip(indices, recordings, strict=True)
         ]
-        if self.poses is not None:
-            camera = self.poses.posed(view, camera, iteration / config.iterations)
-        if self.nuisances is not None:
-            recordings = self.nuisances.applied(view, indices, camera, recordings)
-        return Batch(
+        batch = Batch(
             camera=camera,
             recordings=tuple(recordings),
             levels=tuple(1.0 for _ in self.lights) if view.is_standard else view.lighting_levels,
@@ -326,32 +319,27 @@ class Trainer:
             pool=self,
             seed=(config.seed, STREAM_BATCH, iteration),
             index=view.index,
+            progress=iteration / config.iterations,
         )
+        for part in self.parts:
+            batch = part.before(batch, shot)
+        return batch
 
     def step(self) -> dict[str, torch.Tensor]:
         """One iteration; returns the weighted loss terms (detached)."""
-        iteration = self.iteration
-        batch = self.batch(iteration)
-        self._follow_schedule(iteration)
+        batch = self.batch(self.iteration)
+        self._follow_schedule(self.iteration)
         outcome = self.method.training_outcome(batch)
-        terms = outcome.terms
-        if self.nuisances is not None:
-            terms = terms | {"nuisances": self.nuisances.prior()}
-        total = torch.stack(list(terms.values())).sum()
-        if self.poses is not None and outcome.drawn is not None:
-            self.poses.watch(outcome.drawn.splats)
-        total.backward()
-
-        if outcome.drawn is not None:
-            self.growth.observe(outcome.drawn, batch.camera, iteration)
-            if self.poses is not None:
-                self.poses.observe(outcome.drawn.splats, batch.camera, iteration / self.config.iterations)
+        added = {part.name: term for part in self.parts if (term := part.term(outcome)) is not None}
+        terms = outcome.terms | added
+        torch.stack(list(terms.values())).sum().backward()
+        for part in self.parts:
+            part.after(outcome, batch)
         self._sound = False
-        self.optimiser.step(iteration)
-        if self.nuisances is not None:
-            self.nuisances.step(iteration / self.config.iterations)
-        self.iteration = iteration + 1
-        self.growth.control(self.iteration)
+        self.optimiser.step(self.iteration)
+        self.iteration += 1
+        for part in self.parts:
+            part.step(batch)
         self._sound = True
         return {name: term.detach() for name, term in terms.items()}
 
@@ -461,12 +449,9 @@ class Trainer:
         if self.method.splatting is not None:
             primitives = self.method.splatting.backbone.parameters
             tensors |= {f"{PRIMITIVES}{k}": v for k, v in primitives.items()}
-        tensors |= {f"{STATISTICS}{k}": v for k, v in self.growth.tensors().items()}
         tensors |= self.optimiser.state_tensors()
-        if self.nuisances is not None:
-            tensors |= {f"{NUISANCES}{k}": v for k, v in self.nuisances.tensors().items()}
-        if self.poses is not None:
-            tensors |= {f"{POSES}{k}": v for k, v in self.poses.tensors().items()}
+        for part in self.parts:
+            tensors |= {f"{part.name}.{k}": v for k, v in part.tensors().items()}
         for name, tensor in tensors.items():
             if tensor.is_floating_point() and not tensor.isfinite().all():
                 raise self._diverged(f"{name} has values that are not numbers")
@@ -517,34 +502,22 @@ class Trainer:
         return tensors
 
     def _restore_state(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
-        """Adam's moments and growth's statistics as the checkpoint at ``path`` has them."""
+        """Adam's moments and the parts as the checkpoint at ``path`` has them."""
         moments = {k: v for k, v in tensors.items() if k.startswith(ADAM)}
-        check_tensors(moments, self.optimiser.state_like(moments), path)
-        refuse_others(moments, self.optimiser.state_like(moments), path)
-        counted = {f"{STATISTICS}{name}": like for name, like in self.growth.tensors().items()}
-        statistics = {k: v for k, v in tensors.items() if k.startswith(STATISTICS)}
-        check_tensors(statistics, counted, path)
-        refuse_others(statistics, counted, path)
-        for name, tensor in (moments | statistics).items():
-            if not name.endswith(".exp_avg") and (tensor < 0).any():
+        wanted = self.optimiser.state_like(moments)
+        for part in self.parts:
+            wanted |= {f"{part.name}.{name}": like for name, like in part.tensors().items()}
+        there = {k: v for k, v in tensors.items() if not k.startswith((NETWORKS, PRIMITIVES))}
+        check_tensors(there, wanted, path)
+        refuse_others(there, wanted, path)
+        for name, tensor in there.items():
+            counts = name.startswith((ADAM, Growth.name)) and not name.endswith(".exp_avg")
+            if counts and (tensor < 0).any():
                 raise damaged(path, f"{name} has values below 0")
-        learned = {} if self.nuisances is None else self.nuisances.tensors()
-        wanted = {f"{NUISANCES}{name}": like for name, like in learned.items()}
-        check_tensors(tensors, wanted, path)
-        refuse_others({k: v for k, v in tensors.items() if k.startswith(NUISANCES)}, wanted, path)
-        if self.nuisances is not None:
-            self.nuisances.restore({name: tensors[f"{NUISANCES}{name}"] for name in learned})
-        self.poses = self._new_poses()
-        posed = {} if self.poses is None else self.poses.tensors()
-        wanted = {f"{POSES}{name}": like for name, like in posed.items()}
-        check_tensors(tensors, wanted, path)
-        refuse_others({k: v for k, v in tensors.items() if k.startswith(POSES)}, wanted, path)
-        if self.poses is not None:
-            self.poses.restore({name: tensors[f"{POSES}{name}"] for name in posed})
         self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in moments.items()})
-        self.growth.restore(
-            {name.removeprefix(STATISTICS): v.to(self.device) for name, v in statistics.items()}
-        )
+        for part in self.parts:
+            mine = {name: tensors[f"{part.name}.{name}"] for name in part.tensors()}
+            part.restore({name: tensor.to(self.device) for name, tensor in mine.items()})
 
 
 def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path) -> None:
@@ -582,8 +555,8 @@ def learned_of_photographs(
     cameras have moved (``LearnedPoses.twists``).
     """
     tensors, _ = load_checkpoint(folder / CHECKPOINT_FILE)
-    vignetting, reach = (tensors.get(f"{NUISANCES}{name}") for name in ("vignetting", "reach"))
-    twist, pixel = (tensors.get(f"{POSES}{name}") for name in ("twist", "pixel"))
+    vignetting, reach = (tensors.get(f"{Nuisances.name}.{name}") for name in ("vignetting", "reach"))
+    twist, pixel = (tensors.get(f"{LearnedPoses.name}.{name}") for name in ("twist", "pixel"))
     return (vignetting, reach), None if twist is None or pixel is None else (twist * pixel).numpy()
 
 

@@ -220,16 +220,11 @@ def test_the_width_of_a_picture_widens_native_splats_as_it_does_instances(scene,
     np.testing.assert_allclose(points.values["scale"], wanted, rtol=2e-3)
 
 
-def test_a_keyframed_model_of_an_older_version_is_converted_and_taken_back(
-    scene, make_model, typed, tmp_path
-):
-    """Older ones left linear radiance in radiance:base; keyframes find their input afterwards."""
+def test_a_keyframed_model_is_converted_and_taken_back(scene, make_model, typed, tmp_path):
+    """Keyframes find their input afterwards."""
     model = make_model(count=20, degree=1)
     target = model_in_the_scene(model, tmp_path / "model.safetensors")
     cloud, modifier = target.data, nodes.find_modifier(target)
-    old = np.full((20, 4), 99.0, np.float32)
-    old[:, 3] = model.opacity
-    point_cloud.write_attribute(cloud, attributes.BASE, old)
     path = nodes.input_data_path(modifier, nodes.LIGHTING_LEVEL)
     for frame, level in ((1, 1.0), (11, 3.0)):
         nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)

@@ -14,6 +14,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from torture_attacks.stranger_inside import (  # noqa: E402
+    a_model,
     append_scenes,
     draw_all,
     live,
@@ -30,6 +31,7 @@ from physhdr.addon.model.look import is_of_run  # noqa: E402
 from physhdr.addon.operators.base import choices  # noqa: E402
 from physhdr.addon.session.advice import LOOK_FIRST, next_step, why_not  # noqa: E402
 from physhdr.bridge.errors import BadValueError  # noqa: E402
+from physhdr.bridge.model_file import write_model  # noqa: E402
 
 
 @pytest.fixture
@@ -192,7 +194,8 @@ def test_places_in_a_network(path, is_one):
 
 def test_only_folders_that_are_named_alike_are_one_where_nobody_may_look(elsewhere, tmp_path):
     """A model of the run that the trainer holds is known by its file's name; no links are followed for it."""
-    name_everything(bpy.context.scene, f"{elsewhere}/")
+    write_model(tmp_path / "model.safetensors", a_model())
+    name_everything(bpy.context.scene, f"{elsewhere}/", tmp_path / "model.safetensors")
     model = next(each for each in bpy.context.scene.objects if each.name == "whole")
     (elsewhere / "run").mkdir()
     link = tmp_path / "link"

@@ -8,9 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Blender: run with .venvs/blender/bin/python")
 
-from physhdr.synth.errors import ConflictError  # noqa: E402
 from physhdr.synth.fingerprint import fingerprint  # noqa: E402
-from physhdr.synth.folder import FINGERPRINT, open_folder, write_json  # noqa: E402
 
 LENS = (1.0, 0.1, 100.0)
 
@@ -237,18 +235,3 @@ def test_the_same_file_in_another_folder_is_the_same(scene, tmp_path):
         bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
         found.append((bpy.data.images["paint"].filepath, state(bpy.context.scene)))
     assert found[0][0] != found[1][0] and found[0][1] == found[1][1]
-
-
-def test_a_data_set_of_before_is_refused_in_words(tmp_path):
-    """It is not known whether the scene is the same: neither gone on with, nor said to have changed."""
-    maker = {"name": "physhdr synth", "version": "0.2.0"}
-    asked = {"views": 3, FINGERPRINT: "b-0123456789abcdef"}
-    head = {"format": "physhdr-dataset", "version": 1, "generator": maker}
-    write_json(tmp_path / "dataset.partial.json", {**head, "options": asked})
-    assert open_folder(tmp_path, asked, maker)["options"] == asked
-    write_json(
-        tmp_path / "dataset.partial.json", {**head, "options": {**asked, FINGERPRINT: "0123456789abcdef"}}
-    )
-    with pytest.raises(ConflictError, match=r"begun by a version.*whether it is the same") as told:
-        open_folder(tmp_path, asked, maker)
-    assert "choose another folder" in told.value.hint and "changed since" not in told.value.message

@@ -9,9 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Blender: run with .venvs/blender/bin/python")
 
 from physhdr.synth import exr, light_choice, user_light  # noqa: E402
-from physhdr.synth.errors import ConflictError  # noqa: E402
 from physhdr.synth.fingerprint import fingerprint  # noqa: E402
-from physhdr.synth.folder import FINGERPRINT, open_folder, write_json  # noqa: E402
 
 
 def add(name, data, collection=None):
@@ -332,11 +330,3 @@ def test_a_material_set_on_mere_instances_is_told_from_another(scene):
     node = bpy.data.node_groups["nodes"].nodes["Set Material"]
     node.inputs["Material"].default_value = blue
     assert state(scene) != before
-
-
-def test_a_data_set_from_before_these_were_compared_is_refused_in_words(scene, tmp_path):
-    maker = {"name": "physhdr synth", "version": "0.2.0"}
-    head = {"format": "physhdr-dataset", "version": 1, "generator": maker}
-    write_json(tmp_path / "dataset.partial.json", {**head, "options": {FINGERPRINT: "b-0123456789abcdef"}})
-    with pytest.raises(ConflictError, match=r"begun by a version.*whether it is the same"):
-        open_folder(tmp_path, {FINGERPRINT: state(scene)}, maker)

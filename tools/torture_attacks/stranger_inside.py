@@ -18,6 +18,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import bpy
+import numpy as np
 
 import physhdr
 from physhdr.addon import runtime
@@ -29,6 +30,7 @@ from physhdr.addon.model.model_import import import_model
 from physhdr.addon.session.state import Backend, Link
 from physhdr.addon.settings import respelling
 from physhdr.bridge.messages import JobStatus
+from physhdr.bridge.model_file import Model, write_model
 from physhdr.bridge.probe import Probe
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -36,18 +38,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from torture_attacks.watch import BEGIN, LIVED, NETWORK, places, watched
 
 ROOT = Path(__file__).resolve().parents[2]
-MODEL = ROOT / "tests" / "fixtures" / "e7440a3" / "default" / "model.safetensors"
 # ---- the file ----------------------------------------------------------------------------------------------
 
 
 def make(file: Path, elsewhere: Path) -> None:
     """A .blend whose scenes name places in a folder, in a network and beside it; one leaves its run open."""
     homes = {"Folder": f"{elsewhere}/", "Network": f"{NETWORK}\\", "Beside": f"//{elsewhere.name}/"}
+    model = file.with_suffix(".safetensors")
+    write_model(model, a_model())
     first = list(bpy.data.scenes)
     for name, home in (homes | {"Proposed": homes["Folder"]}).items():
         scene: Any = bpy.data.scenes.new(name)
         bpy.context.window.scene = scene
-        name_everything(scene, home)
+        name_everything(scene, home, model)
         if name == "Proposed":
             with respelling():
                 scene.physhdr.out = ""
@@ -55,8 +58,26 @@ def make(file: Path, elsewhere: Path) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
 
 
-def name_everything(scene: Any, home: str) -> None:
-    """Let a scene name what lies in ``home``, a text: data set, run, photos, models, captures, pictures."""
+def a_model() -> Model:
+    """Twenty Gaussians in a row."""
+    count = 20
+    position = np.zeros((count, 3), np.float32)
+    position[:, 0] = np.arange(count)
+    return Model(
+        position=position,
+        rotation=np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (count, 1)),
+        scale=np.full((count, 3), 0.1, np.float32),
+        opacity=np.full(count, 0.5, np.float32),
+        log_radiance_sh=np.zeros((count, 4, 3), np.float32),
+        light_share=np.full((count, 1, 3), 0.5, np.float32),
+    )
+
+
+def name_everything(scene: Any, home: str, model: Path) -> None:
+    """Let a scene name what lies in ``home``, a text: data set, run, photos, captures, pictures.
+
+    It holds copies of ``model``, a file.
+    """
     scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(scene.camera)
     with respelling():  # as a file has it: nobody has chosen it
@@ -66,7 +87,7 @@ def name_everything(scene: Any, home: str) -> None:
     scene.physhdr.preview, scene.physhdr_dataset.response = True, "file"
     known = Probe((0.0, 0.0, 0.0), 64, (), 0.1, 0.1, 0, 1, "Blender", f"{home}model.safetensors")
     for name in ("whole", "damaged"):
-        target = import_model(MODEL, name, scene.collection)
+        target = import_model(model, name, scene.collection)
         cloud: Any = target.data
         cloud[FILE], cloud[CAPTURE] = f"{home}run/model.safetensors", f"{home}capture"
         if name == "damaged":

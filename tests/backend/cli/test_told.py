@@ -208,7 +208,7 @@ def test_on_windows_an_invalid_argument_is_that_nobody_reads_if_so(nobody_reads,
     if nobody_reads:
         os.close(reader)
     with monkeypatch.context() as patch, open(writer, "w", encoding="utf-8") as stdout:
-        theirs = SimpleNamespace(platform="win32", stdout=stdout, stderr=sys.stderr)
+        theirs = SimpleNamespace(platform="win32", stdin=sys.stdin, stdout=stdout, stderr=sys.stderr)
         patch.setattr(cli, "sys", theirs)  # not for all, which would import what only Windows has
         status = main(argv)
     if not nobody_reads:

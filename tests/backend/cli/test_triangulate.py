@@ -127,7 +127,7 @@ def test_colours_are_those_of_the_middle_exposure_that_training_sees(room, with_
 def test_the_file_says_what_it_is(with_points):
     ply = open_ply(with_points / SFM, "point cloud", "")
     assert f"from {2 * VIEWS} pictures of {VIEWS} training views" in ply.comments[0]
-    vertex = ply["vertex"].data
+    vertex = ply.elements["vertex"]
     assert vertex["views"].min() >= 2 and vertex["views"].max() <= VIEWS
     assert 0.0 < vertex["error"].mean() < 1.0
     assert not any(vertex[axis].any() for axis in ("nx", "ny", "nz"))  # without them 3DGS's loader fails

@@ -17,7 +17,7 @@ from physhdr.backend.train.learned_lens import lenses_of
 from physhdr.backend.train.learned_poses import PoseConfig
 from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import POSES, Trainer, learned_of_photographs
+from physhdr.backend.train.trainer import Trainer, learned_of_photographs
 from physhdr.bridge.run_folder import CAMERAS_FILE, CHECKPOINT_FILE
 
 SHORT = ["--iterations", "16", "--sh-degree-every", "5"]
@@ -53,7 +53,7 @@ def test_exported_cameras_see_what_training_saw(run, tiny_data, capsys):
     assert main(["export", str(run)]) == 0
     assert "its cameras, where training has found them to be" in capsys.readouterr().out
     tensors = load_file(run / CHECKPOINT_FILE)
-    twists = (tensors[f"{POSES}twist"] * tensors[f"{POSES}pixel"]).numpy()
+    twists = (tensors["poses.twist"] * tensors["poses.pixel"]).numpy()
     opened = open_run(run)
     views, entries = opened.scene.train + opened.scene.lit, listed(run)
     assert len(entries) == len(twists) == len(views) and np.abs(twists).max() > 1e-5
@@ -116,7 +116,7 @@ def test_a_run_under_training_has_all_that_is_learned_so_far(tiny_data, tmp_path
     assert before.twists is not now.twists and not before.twists.any()
     trainer.save(tmp_path)
     kept = load_file(tmp_path / CHECKPOINT_FILE)
-    np.testing.assert_array_equal(now.twists, (kept[f"{POSES}twist"] * kept[f"{POSES}pixel"]).numpy())
+    np.testing.assert_array_equal(now.twists, (kept["poses.twist"] * kept["poses.pixel"]).numpy())
     cameras = [view.camera for view in scene.train]
     lenses = lenses_of(learned_of_photographs(tmp_path)[0], cameras)
     assert lenses is not None and now.lenses is not None

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
+from physhdr.backend.scene.encoding import SRGB, LogEncoding
 from physhdr.backend.scene.lens import Lens, Reduced
 from physhdr.backend.scene.pictures import picture_size, read_radiance, write_exr
 from physhdr.backend.scene.resize import Reduction
@@ -82,14 +82,6 @@ def test_radiance_is_averaged_and_not_its_logarithm(tmp_path, lens):
     read = source.read(Reduction(2.0, done=lens is not None)).codes
     mean = LIGHT.reshape(6, 2, 8, 2, 3).mean(axis=(1, 3))
     assert np.abs(LOG.exposed(read) / mean - 1.0).max() < 3e-3
-
-
-def test_radiance_freed_of_a_lens_is_kept_by_another_name_than_its_logarithm_was(tmp_path):
-    """What was kept when means were those of codes must not be taken; of a camera's pictures it must."""
-    lens = Reduced(Reduction(2.0))
-    for encoding, is_kept in ((LOG, False), (SRGB, True), (CAMERA, True)):
-        before = (tmp_path / "a.exr", encoding, lens.key, None, 1, False, "")
-        assert (PictureSource(tmp_path / "a.exr", encoding=encoding, lens=lens).key == before) == is_kept
 
 
 def test_linear_integers_become_codes_of_the_srgb_curve(tmp_path):

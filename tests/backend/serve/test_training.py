@@ -206,7 +206,7 @@ def test_a_training_that_learned_poses_says_how_far_they_moved(tiny_data, tmp_pa
     """The engine by itself; these data are renders, of which poses are learned only when asked."""
     preset = PRESETS["default"]
     learns = dataclasses.replace(preset, poses=dataclasses.replace(preset.poses, mode="on"))
-    monkeypatch.setitem(PRESETS, "default", learns)
+    monkeypatch.setitem(PRESETS.own, "default", learns)
     told = []
     server = SimpleNamespace(publish=told.append, answer=lambda *answered: None, show=lambda *shown: None)
     engine = engine_module.Engine(Inbox(), server, Curves(), engine_module.Options(threads=1))
@@ -467,7 +467,7 @@ def test_a_path_that_fails_a_job_later_is_told_with_a_remedy(backend, enter, who
     failed = peer.wait_for("failed", "finished")
     assert failed.failure.code == "output"
     assert f"{run / 'log.jsonl'}: Is a directory" in failed.failure.message
-    assert failed.failure.hint.startswith("Make it writable, then start the training again")
+    assert failed.failure.hint.startswith("Make it writable, then resume the training")
 
 
 def test_links_that_lead_to_themselves(backend, enter, refusal, tiny_data, tmp_path):

@@ -170,6 +170,7 @@ NOT_COMPILED = {
     "bridge/cores.py",
     "bridge/errors.py",
     "bridge/atomic.py",
+    "bridge/limits.py",
     "backend/memory.py",
     "backend/kernels/plain.py",
     "backend/scene/camera.py",

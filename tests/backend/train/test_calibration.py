@@ -9,6 +9,7 @@ import torch
 
 from physhdr.backend.cli import main
 from physhdr.backend.model.tone_mapper import ToneMapper
+from physhdr.backend.runs.views import write_views
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.calibration import read_calibration
 from physhdr.backend.train.config import write_config
@@ -29,6 +30,7 @@ def calibrated(tiny_data, tmp_path_factory):
         trainer.nuisances.values["vignetting"].copy_(torch.tensor([[0.1, 0.2, 0.3]]))
         trainer.method.tone_mapper.w2 += 0.01  # as if it had learned
     write_config(folder / "config.json", SHORT, tiny_data, "default")
+    trainer.views_digest = write_views(folder, trainer.scene)
     trainer.save(folder)
     path = folder / "camera.json"
     assert main(["calibrate", str(folder), "--out", str(path)]) == 0

@@ -14,7 +14,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.learned_poses import LearnedPoses, PoseConfig, moved, twist_gradient
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import POSES, Trainer
+from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 ON = PoseConfig(mode="on", start=0.0)
@@ -184,7 +184,7 @@ def test_what_a_training_finds_of_wrong_poses_is_nearer_to_the_true_ones(larger_
 
 def test_a_resumed_training_is_bit_identical(tiny_data, whole_and_in_parts):
     whole, parts = whole_and_in_parts(read_scene(tiny_data), short(), (7, 8))
-    assert whole.keys() == parts.keys() and whole[f"{POSES}twist"].abs().max() > 0.0
+    assert whole.keys() == parts.keys() and whole["poses.twist"].abs().max() > 0.0
     assert all(torch.equal(whole[name], parts[name]) for name in whole)
 
 

@@ -14,7 +14,7 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.half_size import half_sized
 from physhdr.backend.train.nuisances import NuisanceConfig, Nuisances, telling_share
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import NUISANCES, Trainer
+from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 ON = NuisanceConfig(mode="on")
@@ -84,7 +84,7 @@ def test_what_is_stated_is_right_on_the_whole(tiny_data):
             [2.0, 1.0, -1.0]
         )
         (weight @ colours).backward()
-        nuisances.step(0.5 + iteration / 100)
+        nuisances.learn(0.5 + iteration / 100)
     gain = nuisances.values["log_gain"].detach().double()
     time = torch.tensor([math.log(view.exposures[k]) for view in scene.train for k in (0, 2, 4)]).double()
     tells = torch.tensor([1.0, 1.0, 0.0] * len(scene.train)).double()  # the third photos are all but white
@@ -124,7 +124,7 @@ def test_gains_that_points_told_stay_while_few_photos_were_seen(tiny_data):
         nuisances.values["log_gain"].copy_(told)
     for view, k in ((scene.train[0], 0), (scene.train[1], 2)):
         nuisances.applied(view, (k,), view.camera, [grey(view.camera)])
-        nuisances.step(0.0)
+        nuisances.learn(0.0)
         assert torch.allclose(nuisances.values["log_gain"].detach().double(), told, atol=1e-6)
     assert told.abs().max() > 0.1
 
@@ -138,7 +138,7 @@ def test_only_values_that_are_compared_and_neither_black_nor_white_tell_of_the_l
 
 def test_a_resumed_training_is_bit_identical(tiny_data, whole_and_in_parts):
     whole, parts = whole_and_in_parts(read_scene(tiny_data), short(), (7,))
-    assert whole.keys() == parts.keys() and any(name.startswith(NUISANCES) for name in whole)
+    assert whole.keys() == parts.keys() and any(name.startswith("nuisances.") for name in whole)
     assert all(torch.equal(whole[name], parts[name]) for name in whole)
 
 
