@@ -18,7 +18,7 @@ from pathlib import Path
 from .atomic import atomic_path
 from .errors import FileDamagedError, FileMissingError, OutputError
 from .lock import Lock, LocksRefusedError
-from .regular import resolved, without_waiting
+from .regular import parse_json, resolved, without_waiting
 
 CONNECTION_FILE = "connection.json"
 #: Locked by the backend from before it writes the connection file until after it has removed it.
@@ -130,7 +130,7 @@ def read_connection(folder: Path) -> Connection:
                 raise FileDamagedError(f"{path} belongs to another user", "Choose another home folder.")
             if not stat.S_ISREG(found.st_mode):
                 raise FileDamagedError(f"{path} is a pipe or a device", "Delete it and start the backend.")
-            content = json.loads(file.read(FILE_CHARACTERS_MAX))
+            content = parse_json(file.read(FILE_CHARACTERS_MAX))
     except FileNotFoundError:
         raise FileMissingError(f"no backend is running: there is no {path}", "Start one.") from None
     except (OSError, ValueError, RecursionError) as error:

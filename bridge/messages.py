@@ -26,6 +26,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from .errors import PhysHDRError
+from .regular import unique_names
 
 #: Both sides must speak the same version; it changes whenever a message does.
 PROTOCOL_VERSION = 1
@@ -448,7 +449,7 @@ def _json_object(text: str | bytes) -> dict[str, Any]:
         raise ValueError(f"{constant} is not a number")
 
     try:
-        content = json.loads(text, parse_constant=refuse)
+        content = json.loads(text, parse_constant=refuse, object_pairs_hook=unique_names)
     except (ValueError, RecursionError) as error:
         raise ProtocolError(f"a frame is not JSON: {error}") from error
     if not isinstance(content, dict):

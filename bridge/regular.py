@@ -154,7 +154,7 @@ def parse_json(text: str) -> Any:
     Refused, too, is what Python's reader lets pass: a name that stands twice in an object, of which only the
     last would count, and halves of characters, which no terminal or file can show.
     """
-    content = json.loads(text, object_pairs_hook=_object)
+    content = json.loads(text, object_pairs_hook=unique_names)
     if "\\ud" in text or "\\uD" in text:
         json.dumps(content, ensure_ascii=False).encode("utf-8")
     return content
@@ -168,7 +168,7 @@ def read_json_object(path: Path, remedy: str = "", limit: int = LARGEST_TEXT) ->
     return content
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def unique_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object's names and values; raises ``ValueError`` for a name that is there twice."""
     found = dict(pairs)
     if len(found) < len(pairs):

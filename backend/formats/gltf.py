@@ -26,7 +26,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.gaussian_ply import SH_C0
 from ...bridge.limits import is_number
-from ...bridge.regular import read_bytes, read_json_object, regular_file
+from ...bridge.regular import parse_json, read_bytes, read_json_object, regular_file
 from ...bridge.spherical_harmonics import degree_of
 from ...bridge.splat_files import SplatCloud
 from .placed import FREE, MOST_TIMES, joined, moved
@@ -217,7 +217,7 @@ class _Gltf:
         if total > len(raw) or 20 + length > len(raw):
             raise self.damaged(f"it claims {total} bytes and has {len(raw)}")
         try:
-            content = json.loads(raw[20 : 20 + length].decode("utf-8"))
+            content = parse_json(raw[20 : 20 + length].decode("utf-8"))
         except (ValueError, RecursionError) as error:
             raise self.damaged(f"its JSON cannot be read ({error!s:.100})") from error
         if not isinstance(content, dict):

@@ -16,7 +16,6 @@ A file that claims more Gaussians than so few bytes can hold is refused before m
 """
 
 import io
-import json
 import math
 import warnings
 import zipfile
@@ -29,7 +28,7 @@ from PIL import Image
 
 from ...bridge.errors import FileDamagedError, FileMissingError
 from ...bridge.limits import MAX_PIXELS, is_number
-from ...bridge.regular import damaged_where_it_fails, read_bytes, regular_file
+from ...bridge.regular import damaged_where_it_fails, parse_json, read_bytes, regular_file
 from ...bridge.splat_files import UP, SplatCloud
 from ...bridge.splat_files.usable import ANTIALIASED_NOTE
 
@@ -104,7 +103,7 @@ class _Sog:
 
     def _meta(self, raw: bytes) -> dict[str, Any]:
         try:
-            meta = json.loads(raw.decode("utf-8-sig"))
+            meta = parse_json(raw.decode("utf-8-sig"))
         except (ValueError, RecursionError) as error:
             raise self.damaged(f"its {META} is no JSON ({error!s:.100})") from error
         if not isinstance(meta, dict) or not isinstance(meta.get("means"), dict):

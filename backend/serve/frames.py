@@ -11,6 +11,7 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 
 from ...bridge.messages import Failure
+from ...bridge.regular import unique_names
 
 log = logging.getLogger(__name__)
 
@@ -67,7 +68,7 @@ def text_of(frame: str | bytes) -> str:
 def object_in(frame: str | bytes) -> dict[str, Any]:
     """The JSON object in a frame, whatever it says; raises ``RefusedError``."""
     try:
-        content = json.loads(text_of(frame))
+        content = json.loads(text_of(frame), object_pairs_hook=unique_names)
     except (ValueError, RecursionError):
         raise RefusedError(INVALID_DATA, "a frame is not JSON") from None
     if not isinstance(content, dict):

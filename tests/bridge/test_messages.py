@@ -99,6 +99,7 @@ def test_errors_are_data():
         ('{"kind": "request", "id": 1, "type": "run_open", "body": {"run": null}}', "run_open.run"),
         ('{"kind": "error", "id": 1, "code": 5, "message": "", "hint": ""}', "failure.code"),
         ('{"kind": "error", "id": 1}', "failure.code"),
+        ('{"kind": "request", "id": 1, "type": "stop", "type": "status_get", "body": {}}', "stands twice"),
         ('{"kind": "reply", "id": 1, "type": "history", "body": {"losses": [1, NaN]}}', "NaN"),
         ('{"kind": "reply", "id": 1, "type": "history", "body": {"losses": [1e999]}}', "history.losses"),
         ('{"kind": "reply", "id": 1, "type": "history", "body": {"losses": [true]}}', "history.losses"),

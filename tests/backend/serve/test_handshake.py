@@ -69,6 +69,7 @@ def closing(peer, timeout=10.0):
     [
         ("nonsense", 1007, "JSON"),
         ("[1, 2]", 1008, "object"),
+        ('{"kind": "request", "id": 1, "id": 2, "type": "hello", "body": {}}', 1007, "JSON"),
         ("[" * 100_000, 1007, "JSON"),
         (b"\0\1\2", 1003, "text"),
         ("x" * (TEXT_BYTES_MAX + 1), 1009, ""),
