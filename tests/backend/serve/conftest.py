@@ -84,6 +84,7 @@ class Peer:
             max_size=BINARY_BYTES_MAX,
             compression=None,
             proxy=None,
+            open_timeout=PATIENCE,
             close_timeout=0.5,
         )
         self.socket = self._open.__enter__()

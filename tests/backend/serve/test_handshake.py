@@ -163,13 +163,13 @@ def test_a_crowd_of_strangers_is_kept_small(start, enter, says):
     assert peer.ask(StatusGet()).in_control
 
 
-#: Connects to a port 4,000 times a second and says nothing.
+#: Connects to a port up to 4,000 times a second and says nothing; on a busy machine less often, not in bursts.
 STORM = """
 import socket, sys, time
-kept, begun = [], time.monotonic()
-for number in range(30 * 4000):
-    while number > (time.monotonic() - begun) * 4000:
-        time.sleep(0.001)
+kept = []
+for number in range(60 * 4000):
+    if number % 40 == 0:
+        time.sleep(0.01)
     each = socket.socket()
     each.setblocking(False)
     each.connect_ex(("127.0.0.1", int(sys.argv[1])))
