@@ -65,7 +65,7 @@ def a_model() -> Model:
     position[:, 0] = np.arange(count)
     return Model(
         position=position,
-        rotation=np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (count, 1)),
+        rotation=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1)),
         scale=np.full((count, 3), 0.1, np.float32),
         opacity=np.full(count, 0.5, np.float32),
         log_radiance_sh=np.zeros((count, 4, 3), np.float32),
