@@ -163,7 +163,7 @@ def test_a_crowd_of_strangers_is_kept_small(start, enter, says):
     assert peer.ask(StatusGet()).in_control
 
 
-#: Connects to a port up to 4,000 times a second and says nothing; on a busy machine less often, not in bursts.
+#: Connects up to 4,000 times a second and says nothing; on a busy machine less often, without bursts.
 STORM = """
 import socket, sys, time
 kept = []
