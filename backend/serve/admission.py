@@ -189,7 +189,7 @@ class Admission:
         body = content.get("body")
         if content.get("type") == "hello" and isinstance(body, dict):
             spoken = body.get("protocol")
-            if spoken != PROTOCOL_VERSION:
+            if type(spoken) is not int or spoken != PROTOCOL_VERSION:  # True is 1 to Python
                 failure = Failure(
                     code="wrong_protocol",
                     message=f"this backend speaks version {PROTOCOL_VERSION} of the protocol, "

@@ -52,7 +52,7 @@ class Target:
     refusals: tuple[type[Exception], ...] = (PhysHDRError,)
     in_memory: bool = False
     chosen: tuple[str, ...] = ("*",)
-    patience: float = 10.0
+    patience: float = 30.0
     names_place: bool = True
     whole_refused: bool = False
     needs: str = ""

@@ -327,7 +327,7 @@ def _attack(attacks: Attack, share: float, scratch: Path) -> None:
         body = {"protocol": PROTOCOL_VERSION, "client": "fuzz", "version": ""} | changes
         return json.dumps({"kind": "request", "id": 1, "type": "hello", "body": body}).encode()
 
-    versions = (0, 1, 99, -1, 10**400, "2", None, [], {"a": 1}, 2.5, True, "x" * 1000)
+    versions = (0, PROTOCOL_VERSION + 1, 99, -1, 10**400, "2", None, [], {"a": 1}, 2.5, True, "x" * 1000)
     attacks.kind(
         "another version",
         times(100),
