@@ -2,6 +2,7 @@
 """What asks a program to end in its own way: by a key, by another program, or at a limit."""
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -57,10 +58,10 @@ def interrupt(_: signal.Signals) -> None:
 
 
 def _leave_time_to_save() -> None:
-    try:
-        import resource
-    except ModuleNotFoundError:  # Windows has no such limits
+    if sys.platform == "win32":  # which has no such limits
         return
+    import resource
+
     soft, hard = resource.getrlimit(resource.RLIMIT_CPU)
     if hard != resource.RLIM_INFINITY and (soft == resource.RLIM_INFINITY or soft > hard - TIME_TO_SAVE):
         resource.setrlimit(resource.RLIMIT_CPU, (max(1, hard - TIME_TO_SAVE), hard))

@@ -9,6 +9,7 @@ import json
 import logging
 import select
 import socket
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, cast
@@ -63,7 +64,7 @@ def listening_socket() -> socket.socket:
     Linux keeps those who say nothing to itself: a storm of them costs this process nothing.
     """
     listening = socket.create_server((HOST, 0), backlog=BACKLOG)
-    if hasattr(socket, "TCP_DEFER_ACCEPT"):
+    if sys.platform == "linux":
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, int(HELLO_SECONDS))
     return listening
 
@@ -114,7 +115,7 @@ class SilentConnection(asyncio.Protocol):
 
 def _is_readable(transport: asyncio.Transport) -> bool:
     descriptor = transport.get_extra_info("socket").fileno()
-    if not hasattr(select, "poll"):  # Windows, whose select knows sockets of any number
+    if sys.platform == "win32":  # which has no poll, and whose select knows sockets of any number
         return bool(select.select([descriptor], [], [], 0)[0])
     asked = select.poll()
     asked.register(descriptor, select.POLLIN)
