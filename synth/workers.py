@@ -2,7 +2,7 @@
 """More processes for one data set: each renders pictures that nobody else has claimed (``bridge.lock``).
 
 Small pictures keep only part of a processor busy (synchronising the scene and denoising are partly serial),
-so one process for each core is faster than one with all of them; docs/performance.md has the figures.
+so one process for each core is faster than one with all of them; lab/performance.md has the figures.
 """
 
 import os

@@ -128,7 +128,7 @@ class Build:
 
 
 def builds() -> tuple[Build, Build]:
-    """What this system's builds for CUDA run on, the one to be preferred first; sources: docs/cuda.md.
+    """What this system's builds for CUDA run on, the one to be preferred first; sources: docs/performance.md.
 
     A program made with any CUDA 12 runs on drivers from CUDA 12.0's on, whose numbers differ between systems.
     torch has code for cards of 5.0 to 9.0, on Windows of 6.1 to 9.0; Warp 1.17 of 5.2 on, on ARM of 7.5 on.

@@ -3,7 +3,7 @@
 
 Gradients of what is hardly seen underflow to such numbers, which carry nothing. But a processor may take a
 hundred cycles for each: an untrained iteration of ``paper`` took 441 ms on an Intel machine, 350 of them in
-the networks' backward pass (docs/performance.md). It is a setting of each thread, and a new thread has its
+the networks' backward pass (lab/performance.md). It is a setting of each thread, and a new thread has its
 parent's on Linux only; so ``threads`` sets it in every thread that runs kernels, and the result is the same
 whichever thread did the work. Nobody else's arithmetic is changed: SciPy's KDTree, for one, crashed on
 points of which some coincide (it may split them at the next number above 0, which would then be 0); and

@@ -4,11 +4,11 @@
 An iteration allocates and frees the same few dozen arrays of some MB. glibc returns such blocks to the
 kernel at once and gets them back as pages that must be zeroed and mapped again, one fault for every 4 KiB.
 Told to, it keeps them. One setting covers torch's tensors and numpy's arrays alike, which workspaces of our
-own would not; what it gains is in docs/performance.md.
+own would not; what it gains is in lab/performance.md.
 
 What is kept lies in pieces between what is in use. Where arrays become larger or more, the pieces no longer
 fit and new ones are made beside them: a training of large pictures then holds half as much again as it needs
-(docs/sizes.md). Given back now and then, they are pages again that any array may have.
+(lab/performance.md). Given back now and then, they are pages again that any array may have.
 """
 
 import ctypes

@@ -8,7 +8,7 @@ from numba import extending
 from numba.core import cgutils, types
 from numba.extending import models, register_model
 
-#: Floats in a vector: 8 fills an AVX2 register. Measured against 16 in docs/performance.md.
+#: Floats in a vector: 8 fills an AVX2 register. Measured against 16 in lab/performance.md.
 LANES = 8
 
 # Numba's decorators have no types that a checker could follow.

@@ -304,7 +304,7 @@ def _on_card(sizes: Sizes, device: torch.device) -> Estimate:
     """The card's share: its context instead of the program, and the pictures that stay there.
 
     On an H200 an iteration takes what it does on the CPU for each pixel, but for each Gaussian its state
-    alone, four copies (1.1 kB in ``default``; docs/cuda.md); growth takes more.
+    alone, four copies (1.1 kB in ``default``; lab/scale.md); growth takes more.
     """
     needed = estimate(sizes)
     return dataclasses.replace(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How large a training is: what follows from the data set's pixels, views and points (docs/sizes.md).
+"""How large a training is: what follows from the data set's pixels, views and points (docs/performance.md).
 
 A preset's numbers are those of 200×200 pixels and few views, at which they were chosen. Larger pictures show
 more, which more Gaussians have to hold; these want more iterations, of which more can be at half the size;

@@ -27,7 +27,7 @@ WHOLE = 30_000
 
 @dataclass(frozen=True)
 class Figure:
-    """One measurement, and what it is to reach, where that was set (docs/cuda.md)."""
+    """One measurement, and what it is to reach, where that was set (docs/performance.md)."""
 
     what: str
     value: float

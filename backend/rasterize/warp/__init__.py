@@ -26,7 +26,7 @@ from .stages import draw, draw_backward, project, project_backward
 
 __all__ = ["MOST_CHANNELS", "rasterize"]
 
-#: Channels of a pass; more are drawn in several. Each takes backward five registers (docs/cuda.md).
+#: Channels of a pass; more are drawn in several. Each takes backward five registers (docs/performance.md).
 MOST_CHANNELS = 32
 
 

@@ -3,7 +3,7 @@
 
 What goes from one to the next is numbers alone: to ``draw`` records, depths and counts of tiles, back a row
 of sums for each Gaussian. Only the outer two know what Gaussians are made of; who draws a view need not own
-them (docs/scale.md).
+them (lab/scale.md).
 """
 
 from typing import NamedTuple

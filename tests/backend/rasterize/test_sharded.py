@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What docs/scale.md plans for several cards, by two processes: Gaussians are dealt out, each process draws
+"""What lab/scale.md plans for several cards, by two processes: Gaussians are dealt out, each process draws
 one view of all of them; records go to who draws, sums come back. A program, this file is one of them."""
 
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sizes follow from the data by the rule that docs/sizes.md states; what is typed wins; renders stay."""
+"""Sizes follow from the data by the rule that docs/performance.md states; what is typed wins; renders stay."""
 
 import dataclasses
 import importlib.util
@@ -18,13 +18,13 @@ _SPEC = importlib.util.spec_from_file_location("layouts", Path(__file__).parents
 layouts = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(layouts)
 
-DOCS = Path(__file__).parents[3] / "docs" / "sizes.md"
+DOCS = Path(__file__).parents[3] / "docs" / "performance.md"
 RENDERS = Extent(pixels=200 * 200, views=30, points=17_599, exposures=())
 LARGE = dataclasses.replace(RENDERS, pixels=1600 * 1067, views=50, points=0)
 
 
 def documented() -> list[tuple[str, ...]]:
-    """The rows of the table of docs/sizes.md: width, height, views, points, and what ``default`` gets."""
+    """The rows of the table of docs/performance.md: width, height, views, points, and what ``default`` gets."""
     row = re.compile(r"\| (\d+)×(\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| (\d+) % \|")
     return [tuple(cell.replace(",", "") for cell in row.groups()) for row in row.finditer(DOCS.read_text())]
 
