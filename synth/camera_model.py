@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera with the faults of a real one, each an option that is off by default (docs/camera.md).
+"""A camera with the faults of a real one, each an option that is off by default (docs/photos.md#faults-of-a-rendered-camera).
 
 What the light passes through, in this order; x is exposure × radiance, each channel by itself:
 
@@ -204,7 +204,7 @@ class ViewCamera:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options as a group of their own."""
-    add = parser.add_argument_group("a real camera (all off by default; docs/camera.md)").add_argument
+    add = parser.add_argument_group("a real camera (all off by default; docs/photos.md)").add_argument
     add(
         "--iso", type=float, metavar="S", help="photon and read noise of a sensor at this speed, such as 3200"
     )

@@ -27,7 +27,7 @@ STEPS_A_STOP = 3
 METERED_SHARE = 0.3
 #: What the meter takes black for.
 DARKEST = 1e-4
-#: ISO that a camera without noise says it has: what one second means (docs/captures.md).
+#: ISO that a camera without noise says it has: what one second means (docs/photos.md).
 BASE_ISO = 100.0
 F_NUMBER = Fraction(8)
 MAKER, CAMERA = "PhysHDR", "Synthetic"

@@ -45,7 +45,7 @@ SEALED = ("chair", "desk")
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
 #: What is made without a name: the open scenes, and what lab/plans/ladder.toml asks for beside them.
 USUAL = (*(name for name in SAMPLES if name not in SEALED), "bathroom-local")
-#: What real cameras do (docs/camera.md): what make_scene.py is told of it.
+#: What real cameras do (docs/photos.md#faults-of-a-rendered-camera): what make_scene.py is told of it.
 CAMERAS = {
     "srgb": ("--crf", "srgb"),
     "filmic": ("--crf", "filmic"),

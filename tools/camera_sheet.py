@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The picture of docs/camera.md: one view taken by the ideal camera, then with each fault of a real one.
+"""The picture of docs/photos.md: one view taken by the ideal camera, then with each fault of a real one.
 
 .venvs/backend/bin/python tools/camera_sheet.py data/demo --out docs/images/camera.jpg
 """

@@ -28,7 +28,7 @@ LENS = Lens(
     cx=40.0,
     cy=30.0,
 )
-FULL = 0.18 * 78 / 10  # exposure × radiance that fills the sensor, as docs/camera.md says
+FULL = 0.18 * 78 / 10  # exposure × radiance that fills the sensor, as docs/photos.md says
 RAW_CODES = 16383 - 512
 
 

@@ -39,7 +39,7 @@ SEQUENTIAL_OVERLAP = 12
 FEWEST_POSES = 3
 CAPTURE_REMEDY = (
     "Neighbouring photos must show the same things from places a step apart (not only turned), sharp and "
-    "with texture: docs/captures.md says how to shoot. --camera SIMPLE_RADIAL helps where photos are few."
+    "with texture: docs/photos.md says how to shoot. --camera SIMPLE_RADIAL helps where photos are few."
 )
 NOT_OBEYED = (
     "COLMAP does not obey EXIF's orientation: give the pictures as COLMAP saw them, without that tag, or "

@@ -93,7 +93,7 @@ class Understanding:
         }
 
     def described(self) -> dict[str, Any]:
-        """For programs, as JSON (docs/captures.md)."""
+        """For programs, as JSON (docs/photos.md)."""
         photos, places = self.brackets.photos, Counter(self.brackets.place_of)
         length = self.brackets.length
         per_place = length if length > 1 else next(iter(places.values()))
