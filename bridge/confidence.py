@@ -4,7 +4,7 @@
 A Gaussian's confidence, 0 to 1, is the probability that its radiance is within a tenth of a stop of the true
 one (the mean over red, green and blue of |ln radiance − ln truth| is below ``TOLERANCE``). It is blended as a
 colour is: of a pixel it is the sum of the Gaussians' confidences by their weights, and where nothing is drawn
-it is 0. How it is estimated: ``backend/export/confidence.py``; against truth: docs/confidence.md.
+it is 0. How it is estimated: ``backend/export/confidence.py``; against truth: docs/light.md.
 """
 
 import math

@@ -4,7 +4,7 @@
 A pyramid on the sphere (push and pull): every coarser level is the mean of what is there, by coverage and by
 solid angle; holes take their colours from the finest level that knows any, and blend into it. What is much
 brighter than most of what was seen, a lamp or a window, counts less: light sources are few, and where nobody
-looked there is rarely another one (measured: docs/cg.md). The weights are the same for all parts, so
+looked there is rarely another one (measured: lab/notebook.md). The weights are the same for all parts, so
 that parts of a light that are filled each add up to what their sum is filled with.
 """
 

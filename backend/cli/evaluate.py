@@ -48,7 +48,7 @@ class Evaluate:
     out: Path | None = None
     #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); without: skipped.
     lpips_weights: Path | None = None
-    #: Of a run: its confidence against the true radiance as well (docs/confidence.md).
+    #: Of a run: its confidence against the true radiance as well (docs/light.md#confidence).
     confidence: bool = False
     #: Folders of other runs on the same data, evaluated before: one table and one sheet of all of them.
     against: tuple[Path, ...] = ()

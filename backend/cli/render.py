@@ -100,7 +100,7 @@ class Render:
     #: docs/formats.md
     layers: bool = False
     #: How likely the radiance is right, instead of the radiance: --out and its like as .exr (0 to 1) and .png
-    #: (in colours, with a legend). docs/confidence.md
+    #: (in colours, with a legend). docs/light.md
     confidence: bool = False
     #: With --confidence: in all directions from the place X Y Z, metres, as physhdr panorama draws the light
     #: there; --width is a power of two.

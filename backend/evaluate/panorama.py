@@ -4,7 +4,7 @@
 A rasteriser draws a Gaussian as if the projection were affine round its centre: exact on the optical axis,
 wrong at the corners of a wide picture, and in the order of depths along an axis that another picture has not.
 So a panorama is of ``VIEWS`` pictures that are no wider than ``HALF_VIEW`` to each side, and where they
-overlap they blend, with weights that are 0 at their rims: there are no seams (docs/lighting.md has figures).
+overlap they blend, with weights that are 0 at their rims: there are no seams (docs/light.md has figures).
 """
 
 import itertools
