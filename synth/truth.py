@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders what methods are measured against, with less noise than the views that are trained on.
 
-Two things make it cheap, both measured on the built-in scenes (docs/scenes.md).
+Two things make it cheap, both measured on the built-in scenes (lab/data/README.md).
 
 - *In turn.* Light transport is linear in each light, so a picture is the sum of one under the ambient light
   alone and one under the lamps alone. Nearly all noise is of the sun and the sky by way of a bounce, and

@@ -53,7 +53,7 @@ def main() -> int:
 
 
 def line(scene: str, former: Path) -> str:
-    """The scene's row of the table in docs/scenes.md."""
+    """The scene's row of the table in lab/data/README.md."""
     told = json.loads((DATA / scene / "truth.json").read_text(encoding="utf-8"))
     before = json.loads((former / scene / "dataset.json").read_text(encoding="utf-8"))
     views = len(list((DATA / scene).glob("*.exr")))

@@ -14,7 +14,7 @@ says √(mean of E over the channels), averaged over the pixels that a Gaussian 
 than a view, and a further one of weight ``DOUBT`` that says UNKNOWN: what few views see is unsure. That is
 the expected error b; the confidence is 1 − exp(−(TOLERANCE / b) ^ SHAPE), a Weibull distribution of errors.
 
-``DOUBT`` and ``SHAPE`` were fitted on validation views of the two tuning scenes (docs/light.md#confidence); no true
+``DOUBT`` and ``SHAPE`` were fitted on validation views of the two tuning scenes (docs/light.md); no true
 radiance is read here.
 
 Σ_p w_p q_p of any per-pixel q is the gradient of Σ_p q_p image_p with respect to a Gaussian's colour, so the
