@@ -60,7 +60,7 @@ gui-test: setup ## The extension in a real Blender window; says so and ends wher
 web-test: setup ## Web pages in a headless Chromium, against physhdr render; skips, and says why, where there is none
 	@$(BACKEND) -m pytest tests/web -rs $(WITH)
 
-formats: setup ## What each format and program makes of the demo's model, into docs/viewers.md; skips what is not there
+formats: setup ## What each format and program makes of the demo's model, into lab/viewers.md; skips what is not there
 	@$(BACKEND) tools/formats_table.py $(WITH)
 
 extension: setup ## Validate and build the Blender extension and its repository: dist/physhdr-*.zip, index.json

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each format and program makes of a model: the table in docs/viewers.md. What is missing is skipped.
+"""What each format and program makes of a model: the table in lab/viewers.md. What is missing is skipped.
 
-    python tools/formats_table.py                       the demo's run, into docs/viewers.md
+    python tools/formats_table.py                       the demo's run, into lab/viewers.md
     python tools/formats_table.py --run RUN --out -     another run, printed
 
 Nothing is downloaded. Programs of npm (@playcanvas/splat-transform, gltf-validator, @sparkjsdev/spark with
@@ -48,7 +48,7 @@ from physhdr.bridge.splat_files import SplatCloud, turned
 from physhdr.bridge.splat_files.usable import taken
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "viewers.md"
+PAGE = ROOT / "lab" / "viewers.md"
 BEGIN, END = "<!-- formats: begin -->", "<!-- formats: end -->"
 MODULES = os.environ.get("PHYSHDR_NODE_MODULES")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")

@@ -80,7 +80,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Convert:
-    """Write Gaussians in the format of another program; the second name's suffix decides. docs/convert.md
+    """Write Gaussians in the format of another program; the second name's suffix decides. docs/other-programs.md
 
     Reads a run's folder, .safetensors, .ply (compressed too), .spz, .splat, .ksplat, .sog (or its meta.json),
     .glb, .gltf and USD; writes .ply, .spz, .glb, .gltf, .usdc, .usda, .usd, .usdz and .safetensors.
@@ -111,7 +111,7 @@ class Convert:
     #: radiance, which does not lead back to them.
     display_colors: bool = False
     #: Of a model file: the run or data set whose cameras saw what it shows. Display colours are fitted to the
-    #: model's pictures from there, as those of a run always are. docs/viewers.md
+    #: model's pictures from there, as those of a run always are. docs/other-programs.md
     cameras: Path | None = None
     #: Convert colours one by one instead: at once, but their blend is another picture.
     quick: bool = False

@@ -44,7 +44,7 @@ class Export:
 
     #: Folder of the run; with --web also a model file that was exported (.safetensors, .ply).
     folder: tyro.conf.Positional[Path]
-    #: Folder of the web page to write, or with --single-file its HTML file. docs/web.md
+    #: Folder of the web page to write, or with --single-file its HTML file. docs/other-programs.md
     web: Path | None = None
     #: One HTML file with everything in it.
     single_file: bool = False
@@ -57,7 +57,7 @@ class Export:
     #: Lights by name for the standard PLY: NAME=VALUE …; those not named are at 1.
     lighting_levels: tuple[str, ...] = ()
     #: Convert the standard PLY's colours one by one, at once, instead of fitting them to the run's pictures
-    #: from the training cameras: they then blend to other pictures, too dark ones mostly. docs/viewers.md
+    #: from the training cameras: they then blend to other pictures, too dark ones mostly. docs/other-programs.md
     quick: bool = False
     #: The data set, where it has moved since training.
     data: Path | None = None

@@ -19,7 +19,7 @@ class LayOut:
     """Write a data set of any layout as nerfstudio's transforms.json or as a COLMAP folder (gsplat, 3DGS).
 
     Cameras are pinholes, pictures have plain names, one exposure of each pose or the whole bracket.
-    docs/data-for-others.md says what each program must be told.
+    docs/other-programs.md says what each program must be told.
     """
 
     #: Folder of the data set, of any layout that physhdr train reads.

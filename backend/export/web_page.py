@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A model as a web page that needs no server, no build and no network (docs/web.md).
+"""A model as a web page that needs no server, no build and no network (docs/other-programs.md#a-web-page).
 
 The page is what lies in ``web/``: a template, a style, and classic scripts that are joined into one.
 Browsers refuse modules and ``fetch`` from ``file://``, so the data come as base64 in classic scripts, too:

@@ -171,7 +171,7 @@ def test_the_file_that_blenders_test_opens(tmp_path: Path) -> None:
 
 
 def test_oiiotool_takes_a_light_out(tmp_path: Path) -> None:
-    """As docs/data-for-others.md has it."""
+    """As docs/other-programs.md has it."""
     tool = shutil.which("oiiotool", path=str(Path(sys.executable).parent)) or shutil.which("oiiotool")
     if tool is None:
         pytest.skip("oiiotool is not installed")

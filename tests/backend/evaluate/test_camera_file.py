@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Paths of cameras from files, against the programs that write them: OpenUSD's frustum, nerfstudio's reader.
 
-nerfstudio's is run where PHYSHDR_NERFSTUDIO names a folder that it is installed in (docs/data-for-others.md).
+nerfstudio's is run where PHYSHDR_NERFSTUDIO names a folder that it is installed in (docs/other-programs.md).
 """
 
 import json

@@ -2,7 +2,7 @@
 """Data sets for other programs: read back by our readers, opened by pycolmap and by nerfstudio's own parsers.
 
 nerfstudio's are run where PHYSHDR_NERFSTUDIO names a folder that its wheel is installed in, with what its
-parsers import (docs/data-for-others.md).
+parsers import (docs/other-programs.md).
 """
 
 import json
@@ -361,7 +361,7 @@ def parsed(kind: str, data: Path, how: str, answer: Path) -> dict:
 
 
 @pytest.mark.skipif(
-    not NERFSTUDIO, reason="PHYSHDR_NERFSTUDIO names no folder with nerfstudio (docs/data-for-others.md)"
+    not NERFSTUDIO, reason="PHYSHDR_NERFSTUDIO names no folder with nerfstudio (docs/other-programs.md)"
 )
 @pytest.mark.parametrize("kind", ["nerfstudio", "colmap"])
 @pytest.mark.parametrize("how", ["as-is", "by-default"])
