@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Validate and build the Blender extension with Blender's own tool: dist/physhdr-VERSION.zip, and beside
 it dist/index.json, which makes that folder a repository of extensions on any static server
-(docs/distribution.md).
+(docs/contributing/distribution.md).
 
 The wheels that the zip bundles are those of tools/wheels.txt, by their SHA-256: in wheels/, whether they were
 there or have been fetched, and again in the zip. What differs is named, and no zip is left.

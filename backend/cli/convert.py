@@ -80,7 +80,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Convert:
-    """Write Gaussians in the format of another program; the second name's suffix decides. docs/other-programs.md
+    """Write Gaussians in the format of another program; the second name's suffix decides.
 
     Reads a run's folder, .safetensors, .ply (compressed too), .spz, .splat, .ksplat, .sog (or its meta.json),
     .glb, .gltf and USD; writes .ply, .spz, .glb, .gltf, .usdc, .usda, .usd, .usdz and .safetensors.

@@ -57,7 +57,7 @@ class Export:
     #: Lights by name for the standard PLY: NAME=VALUE …; those not named are at 1.
     lighting_levels: tuple[str, ...] = ()
     #: Convert the standard PLY's colours one by one, at once, instead of fitting them to the run's pictures
-    #: from the training cameras: they then blend to other pictures, too dark ones mostly. docs/other-programs.md
+    #: from the training cameras: they then blend to other pictures, mostly too dark (docs/other-programs.md).
     quick: bool = False
     #: The data set, where it has moved since training.
     data: Path | None = None
