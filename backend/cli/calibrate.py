@@ -31,7 +31,7 @@ class Calibrate:
         if calibration.response is None and calibration.vignetting is None:
             raise DataMismatchError(
                 f"{self.folder} has learned nothing of its camera: its pictures' response was known",
-                "Train with --nuisances.mode on, which learns the vignetting.",
+                "Train with --nuisances on, which learns the vignetting.",
             )
         write_calibration(self.out, calibration)
         parts = [

@@ -6,8 +6,7 @@ points tell of the photos themselves (gains, balances, lens, and the response wh
 once they are there; and their radiance is read with all of that known.
 """
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -25,7 +24,7 @@ from ..start.merged_brackets import MergedBrackets
 from ..start.photometry import NO_STOPS, Photometry, Untold
 from ..start.response import bracket_response, display_response, point_response
 from .clearance import clearances
-from .config import TrainConfig
+from .config import Switch, TrainConfig
 from .nuisances import Nuisances
 from .sizing import budget_of
 
@@ -172,11 +171,11 @@ def _told_by(
     nuisances = seen.nuisances
     if nuisances is None and asks_response:
         # Where none are learned, none explain what photos disagree about.
-        none = replace(config.nuisances, gain_stops=NO_STOPS, white_balance_stops=NO_STOPS)
-        nuisances = Nuisances(seen.views, seen.exposures, none, torch.device("cpu"))
+        stops = NO_STOPS, NO_STOPS
+        nuisances = Nuisances(seen.views, seen.exposures, torch.device("cpu"), stops=stops)
     return None if nuisances is None else nuisances.told_by(points, response)
 
 
-def _wants(setting: Literal["auto", "on", "off"], seen: Seen, config: TrainConfig) -> bool:
+def _wants(setting: Switch, seen: Seen, config: TrainConfig) -> bool:
     """Whether what photographs need is done; published methods stay as they were published."""
     return setting == "on" or (setting == "auto" and seen.scene.photographs and config.method.traits.effects)

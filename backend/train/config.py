@@ -21,8 +21,6 @@ from ..methods.registry import config_named
 from ..model.anchors import AnchorsConfig
 from ..start.initialise import Source
 from .densify import DensifyConfig
-from .learned_poses import PoseConfig
-from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
 
 #: Ten million: more than anybody trains, and exact in every number that counts them.
@@ -51,6 +49,9 @@ LARGEST_NUMBER = 1e9
 #: Settings in (0, 1): of a probability of 0 or 1 there is no logit.
 PROBABILITIES = ("initial_opacity", "initial_ambient_share")
 
+#: auto: as the data ask for it.
+Switch = Literal["auto", "on", "off"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
@@ -78,12 +79,17 @@ class TrainConfig:
     points_file: str | None = None
     #: Points far away, for the sky and what is behind windows, where first points leave pictures uncovered;
     #: auto: of photographs.
-    far_shell: Literal["auto", "on", "off"] = "auto"
+    far_shell: Switch = "auto"
     #: Each training picture has the light of its whole bracket, which has less noise; auto: where brackets
     #: show noise.
-    merged_brackets: Literal["auto", "on", "off"] = "auto"
+    merged_brackets: Switch = "auto"
     #: Gaussians before a camera, nearer than anything it photographed, are removed; auto: of photographs.
-    clear_cameras: Literal["auto", "on", "off"] = "auto"
+    clear_cameras: Switch = "auto"
+    #: Gain, white balance and vignetting of each photo are learned beside the scene; auto: of photographs
+    #: (``Scene.photographs``), not of renders.
+    nuisances: Switch = "auto"
+    #: Where each picture was taken from is refined beside the scene; auto: of photographs.
+    poses: Switch = "auto"
     #: What is known of the camera, from physhdr calibrate: response and vignetting are used as they are.
     calibration: str | None = None
     random_points: int = 20_000
@@ -113,8 +119,6 @@ class TrainConfig:
     anchors: AnchorsConfig | None = None
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
-    poses: PoseConfig = field(default_factory=PoseConfig)
 
     def __post_init__(self) -> None:
         if not 1 <= self.iterations <= ITERATIONS_MAX:

@@ -20,15 +20,13 @@ with a count of its own.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
 from ...bridge.axes import camera_to_world_opengl
-from ...bridge.errors import BadValueError
 from ..methods.base import Batch, Outcome
 from ..model.backbone import Splats
 from ..scene.camera import Camera
@@ -41,23 +39,11 @@ from .parts import Part, Shot
 NUMBERS = 6
 #: Nothing is nearer to a camera than this share of the distance between cameras, where its depth is asked.
 NEAREST = 1e-3
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseConfig:
-    """How poses are learned. Measured: lab/notebook.md."""
-
-    #: auto: of photographs (``Scene.photographs``), not of renders.
-    mode: Literal["auto", "on", "off"] = "auto"
-    #: Pixels that a view moves at most, each time that it is seen; falls to zero by a cosine.
-    rate: float = 0.15
-    #: Share of the training before anything moves: an unfinished scene misleads.
-    start: float = 0.2
-
-    def __post_init__(self) -> None:
-        for name in ("rate", "start"):
-            if not getattr(self, name) >= 0.0:
-                raise BadValueError(f"--poses.{name} must be 0 or more")
+#: Pixels that a view moves at most, each time that it is seen; falls to zero by a cosine. Measured, as what
+#: follows: lab/notebook.md.
+RATE = 0.15
+#: Share of the training before anything moves: an unfinished scene misleads.
+START = 0.2
 
 
 def moved(camera: Camera, twist: np.ndarray) -> Camera:
@@ -98,8 +84,7 @@ class LearnedPoses(Part):
 
     name = "poses"
 
-    def __init__(self, views: Sequence[View], config: PoseConfig, positions: torch.Tensor) -> None:
-        self.config = config
+    def __init__(self, views: Sequence[View], positions: torch.Tensor) -> None:
         self._row = {view: row for row, view in enumerate(views)}
         shape = (len(views), NUMBERS)
         self.twist = np.zeros(shape)
@@ -149,7 +134,7 @@ class LearnedPoses(Part):
 
     def observe(self, splats: Splats, camera: Camera, progress: float) -> None:
         """Take what the gradients say of the pose that was seen; ``camera``: as ``posed`` gave it."""
-        if progress < self.config.start or splats.means.grad is None:
+        if progress < START or splats.means.grad is None:
             return
         row, gradient = self._seen, twist_gradient(splats, camera)
         if not gradient.is_cuda:
@@ -169,7 +154,7 @@ class LearnedPoses(Part):
             moment[row] = beta * moment[row] + (1.0 - beta) * new
             corrected.append(moment[row] / (1.0 - beta ** self.steps[row]))
         mean, square = corrected
-        self.twist[row] -= self.config.rate * share * mean / (np.sqrt(square) + ADAM_EPSILON)
+        self.twist[row] -= RATE * share * mean / (np.sqrt(square) + ADAM_EPSILON)
         flat = self.twist.reshape(-1)
         flat -= self._together @ (self._together.T @ flat)
 

@@ -18,13 +18,12 @@ not depend on how many other photos there are.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.errors import DataMismatchError
 from ..methods.base import Batch, Outcome, Recording
 from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangent, widest
 from ..model.tone_mapper import Response
@@ -44,33 +43,15 @@ UNSEEN = -1.0
 LN2 = math.log(2.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class NuisanceConfig:
-    """What is learned of the camera beside its response. Measured: lab/notebook.md.
-
-    Rates are of natural logarithms, for each time that a photo is seen; they fall to zero by a cosine.
-    """
-
-    #: auto: of photographs (``Scene.photographs``), not of renders.
-    mode: Literal["auto", "on", "off"] = "auto"
-    gain: float = 0.005
-    white_balance: float = 0.001
-    #: Of the coefficients of v, which every iteration sees.
-    vignetting: float = 0.001
-    #: Expected standard deviations (stops), and the weight of (value / deviation)² in the loss.
-    gain_stops: float = 0.2
-    white_balance_stops: float = 0.1
-    prior: float = 1e-4
-    #: Share of the training before anything moves from where the points put it: an unfinished scene misleads.
-    start: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("gain", "white_balance", "vignetting", "prior", "start"):
-            if not getattr(self, name) >= 0.0:
-                raise BadValueError(f"--nuisances.{name.replace('_', '-')} must be 0 or more")
-        for name in ("gain_stops", "white_balance_stops"):
-            if not getattr(self, name) > 0.0:
-                raise BadValueError(f"--nuisances.{name.replace('_', '-')} must be above 0")
+#: Steps of natural logarithms, each time that a photo is seen; they fall to zero by a cosine. Every iteration
+#: steps the coefficients of v. These and the following were measured: lab/notebook.md.
+RATES = {"log_gain": 0.005, "log_balance": 0.001, "vignetting": 0.001}
+#: Expected standard deviations of a gain and of a white balance, stops.
+STOPS = 0.2, 0.1
+#: Weight of (value / deviation)² in the loss.
+PRIOR = 1e-4
+#: Share of the training before anything moves from where the points put it: an unfinished scene misleads.
+START = 0.3
 
 
 def telling_share(recording: Recording) -> torch.Tensor:
@@ -98,11 +79,11 @@ class Nuisances(Part):
         self,
         views: Sequence[View],
         exposures: Sequence[tuple[int, ...]],
-        config: NuisanceConfig,
         device: torch.device,
         response_is_known: bool = False,
+        stops: tuple[float, float] = STOPS,
     ) -> None:
-        self.config = config
+        self._stops = stops
         photos = [(view, k) for view, indices in zip(views, exposures, strict=True) for k in indices]
         self._photo = {photo: row for row, photo in enumerate(photos)}
         #: Those under the standard light: only there is a point as bright in one as in another.
@@ -178,7 +159,7 @@ class Nuisances(Part):
             [self._lens[view] for view in views],
             self.reach.tolist(),
             response,
-            (self.config.gain_stops, self.config.white_balance_stops),
+            self._stops,
             finds_response=not self._response_is_known,
             vignetting=known,
         )
@@ -241,11 +222,10 @@ class Nuisances(Part):
 
     def prior(self) -> torch.Tensor:
         """The loss term of the photos that were seen last: a small pull towards what is stated."""
-        gains = self.values["log_gain"][self._seen["log_gain"]] / (LN2 * self.config.gain_stops)
-        balance = self.values["log_balance"][self._seen["log_balance"]] / (
-            LN2 * self.config.white_balance_stops
-        )
-        return self.config.prior * (gains.square().mean() + balance.square().mean())
+        of_gain, of_balance = self._stops
+        gains = self.values["log_gain"][self._seen["log_gain"]] / (LN2 * of_gain)
+        balance = self.values["log_balance"][self._seen["log_balance"]] / (LN2 * of_balance)
+        return PRIOR * (gains.square().mean() + balance.square().mean())
 
     @torch.no_grad()
     def learn(self, progress: float) -> None:
@@ -253,10 +233,9 @@ class Nuisances(Part):
 
         ``progress``: share of the training that is done.
         """
-        begun = progress >= self.config.start
+        begun = progress >= START
         for name, value in self.values.items():
-            rate = getattr(self.config, name.removeprefix("log_").replace("balance", "white_balance"))
-            rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
+            rate = RATES[name] * 0.5 * (1.0 + math.cos(math.pi * progress))
             if begun and rate and value.grad is not None:
                 if name == "vignetting":
                     value.grad.masked_fill_(self.lens_is_known, 0.0)

@@ -19,8 +19,6 @@ from ..model.tone_mapper import ToneMapperConfig
 from ..tables import Table
 from .config import TrainConfig
 from .densify import DensifyConfig
-from .learned_poses import PoseConfig
-from .nuisances import NuisanceConfig
 from .optimisers import STOCK_3DGS, OptimiserConfig
 
 #: For a tenth of the iterations and less, on a CPU, where every anchor costs an evaluation of the networks:
@@ -48,7 +46,7 @@ def as_published(**settings: Any) -> TrainConfig:
         "initial_size_limit": 0.0,
         "initial_thickness": 1.0,
         "merged_brackets": "off",
-        "poses": PoseConfig(mode="off"),
+        "poses": "off",
     }
     return TrainConfig(**published | settings)
 
@@ -60,7 +58,7 @@ def paper(iterations: int = 30_000) -> TrainConfig:
     """
     return as_published(
         iterations=iterations,
-        nuisances=NuisanceConfig(mode="off"),
+        nuisances="off",
         far_shell="off",
         clear_cameras="off",
         half_size_until=0.0,
@@ -94,7 +92,7 @@ def baseline(iterations: int = 2500) -> TrainConfig:
     return as_published(
         iterations=iterations,
         initial_size_limit=TrainConfig().initial_size_limit,
-        poses=PoseConfig(),
+        poses="auto",
         method=PhysHDRConfig(
             branches="image-exposure",
             lighting_level="exposure",

@@ -215,34 +215,33 @@ class Trainer:
 
     def _new_nuisances(self) -> Nuisances | None:
         """As the configuration says."""
-        config, traits = self.config.nuisances, self.config.method.traits
-        if config.mode == "on" and not traits.effects:
+        mode, traits = self.config.nuisances, self.config.method.traits
+        if mode == "on" and not traits.effects:
             raise BadValueError(
                 f"{self.config.method.name} knows of no gain, white balance or vignetting of a photo",
-                "Leave out --nuisances.mode on.",
+                "Leave out --nuisances on.",
             )
         # Merged radiance and renders in EXR have no exposure or white balance of their own any more.
         taken = any(encoding.clips for view in self.views for encoding in view.encodings)
         asked = (self.scene.photographs and taken) or self.config.calibration is not None
-        wanted = config.mode == "on" or (config.mode == "auto" and asked and traits.effects)
+        wanted = mode == "on" or (mode == "auto" and asked and traits.effects)
         if not wanted:
             return None
         return Nuisances(
             self.views,
             self.exposures,
-            config,
             self.device,
             response_is_known=self.config.calibration is not None,
         )
 
     def _new_poses(self) -> LearnedPoses | None:
         """As the configuration says."""
-        mode, method = self.config.poses.mode, self.method.splatting
+        mode, method = self.config.poses, self.method.splatting
         if method is None and mode == "on":
-            raise BadValueError(f"{self.config.method.name} cannot learn poses", "Leave out --poses.mode on.")
+            raise BadValueError(f"{self.config.method.name} cannot learn poses", "Leave out --poses on.")
         if method is None or mode == "off" or (mode == "auto" and not self.scene.photographs):
             return None
-        return LearnedPoses(self.views, self.config.poses, method.backbone.positions)
+        return LearnedPoses(self.views, method.backbone.positions)
 
     def _calibrate(self, path: str) -> None:
         """Response and vignetting as the file at ``path`` has them."""
@@ -257,10 +256,10 @@ class Trainer:
         if self.nuisances is not None:
             self.nuisances.know_lens(calibration.vignetting, calibration.reach)
         elif any(calibration.vignetting):
-            is_off = self.config.nuisances.mode == "off" and self.config.method.traits.effects
+            is_off = self.config.nuisances == "off" and self.config.method.traits.effects
             raise BadValueError(
                 f"{path} knows the lens's vignetting, which this training would take no notice of",
-                "Leave out --nuisances.mode off; of a preset that has it, set --nuisances.mode auto."
+                "Leave out --nuisances off; of a preset that has it, set --nuisances auto."
                 if is_off
                 else f"{self.config.method.name} knows of none: leave out --calibration.",
             )

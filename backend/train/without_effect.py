@@ -9,8 +9,6 @@ from ..model.anchors import Anchors
 from ..model.tone_mapper import ToneMapper
 from .beginning import lie_on_surfaces, may_have_strays
 from .config import TrainConfig
-from .learned_poses import PoseConfig
-from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
 from .trainer import Trainer
 
@@ -57,15 +55,9 @@ def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
 
 def _unread(trainer: Trainer) -> set[str]:
     method = trainer.method.splatting
-    photos = {f"nuisances.{each.name}" for each in dataclasses.fields(NuisanceConfig) if each.name != "mode"}
-    poses = {f"poses.{each.name}" for each in dataclasses.fields(PoseConfig) if each.name != "mode"}
     if method is None:
-        return {*OF_SPLATS, *photos, *poses}
+        return {*OF_SPLATS}
     unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
-    if trainer.nuisances is None:
-        unread |= photos
-    if trainer.poses is None:
-        unread |= poses
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
     if trainer.config.method.traits.initial_radiance != "merged":

@@ -18,7 +18,6 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
 from physhdr.backend.train.learned_lens import LearnedLenses, lenses_of
-from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer, learned_of_photographs, load_method
 
@@ -114,7 +113,7 @@ def test_pictures_without_the_vignetting_are_compared_without(tmp_path):
 @pytest.mark.parametrize("preset", ["default", "baseline", "paper"])
 def test_a_trained_lens_is_on_the_pictures_that_are_compared(tiny_data, tmp_path, preset):
     scene = read_scene(tiny_data)
-    config = replace(PRESETS[preset], iterations=4, nuisances=NuisanceConfig(mode="on"))
+    config = replace(PRESETS[preset], iterations=4, nuisances="on")
     trainer = Trainer(scene, config)
     for _ in trainer.run(tmp_path):
         pass

@@ -14,8 +14,6 @@ from physhdr.backend.cli import main
 from physhdr.backend.runs.run import Run, as_learned, open_run
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.learned_lens import lenses_of
-from physhdr.backend.train.learned_poses import PoseConfig
-from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer, learned_of_photographs
 from physhdr.bridge.run_folder import CAMERAS_FILE, CHECKPOINT_FILE
@@ -26,8 +24,7 @@ SHORT = ["--iterations", "16", "--sh-degree-every", "5"]
 @pytest.fixture(scope="module")
 def trained(tiny_data, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "run"
-    poses = ["--poses.mode", "on", "--poses.start", "0"]
-    assert main(["train", str(tiny_data), "--out", str(run), *SHORT, *poses]) == 0
+    assert main(["train", str(tiny_data), "--out", str(run), *SHORT, "--poses", "on"]) == 0
     return run
 
 
@@ -98,12 +95,7 @@ def test_confidence_looks_from_where_training_looked(run):
 
 def test_a_run_under_training_has_all_that_is_learned_so_far(tiny_data, tmp_path):
     """The backend exports while it trains: with the lens and the poses of that moment."""
-    config = dataclasses.replace(
-        PRESETS["default"],
-        iterations=30,
-        poses=PoseConfig(mode="on", start=0.0),
-        nuisances=NuisanceConfig(mode="on"),
-    )
+    config = dataclasses.replace(PRESETS["default"], iterations=30, poses="on", nuisances="on")
     scene = read_scene(tiny_data)
     trainer = Trainer(scene, config)
     run = Run(tmp_path, "default", config, scene, trainer.method, 0)

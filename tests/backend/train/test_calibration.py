@@ -13,12 +13,11 @@ from physhdr.backend.runs.views import write_views
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.calibration import read_calibration
 from physhdr.backend.train.config import write_config
-from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 
-SHORT = dataclasses.replace(PRESETS["default"], iterations=12, nuisances=NuisanceConfig(mode="on"))
+SHORT = dataclasses.replace(PRESETS["default"], iterations=12, nuisances="on")
 
 
 @pytest.fixture(scope="module")
@@ -104,16 +103,14 @@ def test_what_is_no_calibration_of_this_camera_is_refused(calibrated, tiny_data,
 @pytest.mark.parametrize(
     ("config", "hint"),
     [
-        (SHORT, "--nuisances.mode off"),
+        (SHORT, "--nuisances off"),
         (PRESETS["hdr-gs"], "leave out --calibration"),  # it knows of no vignetting
     ],
 )
 def test_vignetting_that_would_be_dropped_is_refused(config, hint, calibrated, tiny_data, tmp_path):
     scene, written = read_scene(tiny_data), json.loads(calibrated[1].read_text())
     path = tmp_path / "camera.json"
-    off = dataclasses.replace(
-        config, iterations=12, calibration=str(path), nuisances=NuisanceConfig(mode="off")
-    )
+    off = dataclasses.replace(config, iterations=12, calibration=str(path), nuisances="off")
     state = Trainer(scene, dataclasses.replace(off, calibration=None)).method.tone_mapper.state_dict()
     written["response"] = {name: value.tolist() for name, value in state.items()}
     path.write_text(json.dumps(written))

@@ -15,7 +15,6 @@ import torch
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train import duration
 from physhdr.backend.train.duration import Cost, Duration, Plan, about, time_training
-from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
@@ -124,7 +123,7 @@ def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, t
     config = dataclasses.replace(
         short(preset, densify=density, half_size_until=half),
         iterations=12,
-        nuisances=NuisanceConfig(mode=nuisances),
+        nuisances=nuisances,
     )
     for timed in (False, True):
         trainer = Trainer(scene, config)

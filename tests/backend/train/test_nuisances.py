@@ -12,24 +12,20 @@ from physhdr.backend.methods.base import Recording
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.half_size import half_sized
-from physhdr.backend.train.nuisances import NuisanceConfig, Nuisances, telling_share
+from physhdr.backend.train.nuisances import Nuisances, telling_share
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError, FileDamagedError
-
-ON = NuisanceConfig(mode="on")
 
 
 def short(preset="default", mode="on", iterations=24):
     config = PRESETS[preset]
     density = dataclasses.replace(config.densify, start=5, every=10, stop=0.8, threshold=1e-5)
-    return dataclasses.replace(
-        config, iterations=iterations, densify=density, nuisances=NuisanceConfig(mode=mode)
-    )
+    return dataclasses.replace(config, iterations=iterations, densify=density, nuisances=mode)
 
 
 def fresh(scene, exposures=(0, 2, 4)):
-    return Nuisances(scene.train, [exposures] * len(scene.train), ON, torch.device("cpu"))
+    return Nuisances(scene.train, [exposures] * len(scene.train), torch.device("cpu"))
 
 
 def grey(camera, value=0.5):
@@ -97,7 +93,7 @@ def test_what_is_stated_is_right_on_the_whole(tiny_data):
 def test_balances_do_not_follow_the_exposure_where_places_differ(tiny_data):
     """Else red's and blue's response could be as steep as it likes. What else they are stays."""
     views = read_scene(tiny_data).train
-    nuisances = Nuisances(views, [(0,), (2,), (4,)], NuisanceConfig(), torch.device("cpu"))
+    nuisances = Nuisances(views, [(0,), (2,), (4,)], torch.device("cpu"))
     time = torch.tensor([math.log(view.exposures[k]) for view, k in zip(views, (0, 2, 4), strict=True)])
     basis = torch.stack([torch.ones(3), time], dim=1)
     before = torch.tensor([[0.3, -0.1], [-0.2, 0.1], [0.5, 0.2]])
@@ -164,10 +160,6 @@ def test_a_checkpoint_that_lacks_a_part_is_refused(tiny_data, tmp_path):
 def test_methods_that_know_no_effects_refuse_it(tiny_data):
     with pytest.raises(BadValueError, match="gausshdr knows of no gain"):
         Trainer(read_scene(tiny_data), short("gausshdr"))
-    with pytest.raises(BadValueError, match=r"--nuisances\.gain-stops must be above 0"):
-        NuisanceConfig(gain_stops=0.0)
-    with pytest.raises(BadValueError, match=r"--nuisances\.prior must be 0 or more"):
-        NuisanceConfig(prior=-1.0)
 
 
 def test_what_was_learned_is_left_out_when_drawing(tiny_data):

@@ -20,7 +20,6 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.pictures import write_exr
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import read_config, write_config
-from physhdr.backend.train.learned_poses import PoseConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
 from physhdr.bridge.data_set import truth_file
@@ -230,7 +229,7 @@ def test_a_view_whose_pose_is_learned_keeps_its_true_picture(tiny_data, tmp_path
         (tiny_data / "train_hdr" / truth_file(view.index)).read_bytes()
     )
     method = dataclasses.replace(preset.method, hdr_supervision=True, hdr_truth=str(tmp_path))
-    config = dataclasses.replace(preset, method=method, poses=PoseConfig(mode="on"), iterations=4)
+    config = dataclasses.replace(preset, method=method, poses="on", iterations=4)
     with pytest.warns(UserWarning, match="Trained with HDR ground truth"):
         trainer = Trainer(dataclasses.replace(scene, train=[view]), config)
     assert all(math.isfinite(trainer.step()["hdr"].item()) for _ in range(2))
