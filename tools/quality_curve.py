@@ -25,7 +25,7 @@ import numpy as np
 import torch
 from quality_plot import plot
 
-from physhdr.backend.cli.warmup import compile_kernels
+from physhdr.backend.cli.kernels import compile_kernels
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr, quantise
 from physhdr.backend.evaluate.published import data_set_of

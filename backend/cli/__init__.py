@@ -179,7 +179,6 @@ def _command(argv: list[str]) -> Any:
     from .train import Train, options_in, preset_named
     from .triangulate import Triangulate
     from .video import Video
-    from .warmup import Warmup
 
     # The preset decides the defaults of the other options, so it is read first.
     train = Train(config=preset_named(argv), typed=options_in(argv))
@@ -197,7 +196,6 @@ def _command(argv: list[str]) -> Any:
         | Annotated[LayOut, tyro.conf.subcommand("layout")]
         | Annotated[Synthesise, tyro.conf.subcommand("synthesise")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-        | Annotated[Warmup, tyro.conf.subcommand("warmup")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
         | Annotated[Check, tyro.conf.subcommand("check")]
     )

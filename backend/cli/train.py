@@ -30,7 +30,7 @@ from ..train.config import CONFIG_FILE, TrainConfig
 from ..train.duration import Duration
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_SECONDS, Trainer
-from .warmup import compile_kernels
+from .kernels import compile_kernels
 
 #: Options, by their settings' names, that count where a run goes on: its configuration says all else.
 ON_RESUMING = ("resume", "rasteriser", "device", "threads", "checkpoint_seconds")

@@ -195,11 +195,6 @@ def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys
     assert [row["levels"] for row in rows][2] == {"ambient": 8.0, "pendant": 0.0}
 
 
-def test_kernels_can_be_compiled_ahead(capsys):
-    assert main(["warmup"]) == 0
-    assert "kernels ready" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("sent", [["SIGINT"], ["SIGHUP", "SIGHUP"], ["SIGXCPU", "SIGXCPU"]])
 def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path, sent):
     """A real CTRL-C; the end of its terminal; the limit of its CPU time, which is repeated."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What ``physhdr warmup`` compiles is all that the first steps of a training call, whichever the preset."""
+"""What ``physhdr check`` compiles is all that the first steps of a training call, whichever the preset."""
 
 import json
 import subprocess

@@ -193,7 +193,7 @@ def test_check_names_the_module_that_is_missing(extension):
     assert "pip install 'numpy" in error["hint"] and sys.executable in error["message"]
     in_words = launched(extension, "check", python=bare)
     assert in_words.returncode == 1 and in_words.stderr.startswith("error: ")
-    for command in (("serve", "--home", "/nonexistent"), ("warmup",)):
+    for command in (("serve", "--home", "/nonexistent"), ("calibrate",)):
         done = launched(extension, *command, python=bare)
         assert done.returncode == 1 and "physhdr check" in done.stderr and "Traceback" not in done.stderr
 

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr warmup``: compile the CPU kernels ahead, with progress; training does it when it has to."""
+"""Compile the CPU kernels that a training calls, with progress; ``physhdr check`` compiles all of them."""
 
 import time
-from dataclasses import dataclass
 
 from rich.progress import Progress
 
 from ..kernels.ahead import Needs, are_cached, compile_ahead
 from ..runs.terminal import aside
-from ..train.presets import needed_by_presets
 
 #: Shorter than this nothing was compiled, and nothing is said.
 COMPILED_SECONDS = 5.0
@@ -30,12 +28,3 @@ def compile_kernels(needs: Needs) -> float:
         later = "; later starts find them in the cache" if are_cached() else ""
         aside.print(f"kernels compiled in {seconds:.0f} s{later}")
     return seconds
-
-
-@dataclass(frozen=True)
-class Warmup:
-    """Compile the CPU kernels of every preset now; the first training then starts at once."""
-
-    def run(self) -> int:
-        aside.print(f"kernels ready after {compile_kernels(needed_by_presets()):.1f} s")
-        return 0
