@@ -69,7 +69,7 @@ class PhysHDRConfig(MethodConfig):
     growth_gradient: Literal["all", "image-exposure"] = "all"
     #: f_mix stays at its start (a plain mean) for this share of the training (the paper: 10 k of 30 k).
     mix_frozen_until: float = 1.0 / 3.0
-    #: I_LDR: the mean of the two fused images, or their sum as eq. 14 has it (which cannot fit; method.md).
+    #: I_LDR: the mean of the two fused images, or their sum as eq. 14 has it (which cannot fit; paper.md).
     aggregate: Literal["mean", "sum"] = "mean"
     #: I_GI: f_mix(Î_glo, I_loc), crosswise as its name has it, or f_mix(I_glo, I_loc), as eq. 13 is printed.
     illumination_fusion: Literal["crosswise", "literal"] = "crosswise"

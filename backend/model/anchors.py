@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scaffold-GS's backbone: anchors with features, of which networks make k Gaussians each for every view.
 
-Written from the facts in docs/method.md (Lu et al., Scaffold-GS, CVPR 2024). The colour network gives
+Written from the facts in lab/peers.md (Lu et al., Scaffold-GS, CVPR 2024). The colour network gives
 ln H_r, without a sigmoid; illumination, shares of light and context do not know the viewing direction.
 """
 

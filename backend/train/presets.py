@@ -52,7 +52,7 @@ def as_published(**settings: Any) -> TrainConfig:
 
 
 def paper(iterations: int = 30_000) -> TrainConfig:
-    """The paper's Algorithm 1 with the open points filled as in docs/method.md; l = t.
+    """The paper's Algorithm 1 with the open points filled as in lab/paper.md; l = t.
 
     Of photographs, too, it knows only what the paper knows.
     """

@@ -5,7 +5,7 @@ Every splat has ln e and a context feature; one tone mapper, with a local correc
 used twice. **3-D**: on each splat, whose LDR colour and uncertainty are drawn. **2-D**: on each pixel of the
 drawn radiance and context. One pass of the rasteriser draws all that both need, a small one the uncertainty,
 whose likelihood then teaches nothing else. The facts are those of the released code, which has Scaffold-GS's
-backbone only; docs/method.md names what its paper has otherwise.
+backbone only; lab/peers.md names what its paper has otherwise.
 """
 
 import dataclasses
