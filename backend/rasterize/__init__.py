@@ -16,9 +16,6 @@ from ..scene.camera import Camera
 from .card import warp_rasterize, warp_takes
 from .contract import Rasterization
 
-#: Those that take ``absolute_offsets``.
-WITH_ABSOLUTE_OFFSETS = ("reference", "warp")
-
 Implementation = Literal["auto", "reference", "cpu", "cuda", "warp"]
 
 __all__ = ["Implementation", "Rasterization", "rasterize"]
@@ -33,7 +30,6 @@ def rasterize(
     camera: Camera,
     *,
     screen_offsets: torch.Tensor | None = None,
-    absolute_offsets: torch.Tensor | None = None,
     with_depth: bool = False,
     implementation: Implementation = "auto",
 ) -> Rasterization:
@@ -42,9 +38,7 @@ def rasterize(
     ``means`` ``[N, 3]`` metres; ``quaternions`` ``[N, 4]`` wxyz, normalised here; ``scales`` ``[N, 3]``
     standard deviations in metres; ``opacities`` ``[N]`` in [0, 1]; ``colours`` ``[N, C]``, any values.
     ``screen_offsets`` ``[N, 2]``: added to the projected means, in pixels. Pass zeros that require a
-    gradient to read ∂L/∂(screen position) from their ``.grad`` (densification does). ``absolute_offsets``
-    ``[N, 2]``: zeros that change nothing; their ``.grad`` becomes Σ |∂L/∂(screen position)| over the pixels,
-    where ``screen_offsets``' is the sum with its signs. Only ``reference`` and ``warp`` know them.
+    gradient to read ∂L/∂(screen position) from their ``.grad`` (densification does).
     Raises ``BadValueError`` for wrong shapes.
     """
     count = means.shape[0]
@@ -63,18 +57,8 @@ def rasterize(
         view = camera.view_matrix(means)
         depths = means.detach() @ view[2, :3] + view[2, 3]
         colours = torch.cat([colours, depths[:, None]], dim=1)
-    name = _chosen(implementation, means)
-    draw = _implementation(name, means)
-    arguments = (means, quaternions, scales, opacities, colours, camera, screen_offsets)
-    if absolute_offsets is None:
-        result = draw(*arguments)
-    elif name in WITH_ABSOLUTE_OFFSETS:
-        result = draw(*arguments, absolute_offsets)
-    else:
-        raise BadValueError(
-            f"the rasteriser {name!r} has no absolute sums of screen gradients",
-            f"Choose {' or '.join(WITH_ABSOLUTE_OFFSETS)}.",
-        )
+    draw = _implementation(_chosen(implementation, means), means)
+    result = draw(means, quaternions, scales, opacities, colours, camera, screen_offsets)
     if not with_depth:
         return result
     covered = result.alpha.detach() > 0

@@ -5,8 +5,6 @@ Slow and simple on purpose. Works tile by tile only to bound memory: within a ti
 footprint can touch it is evaluated densely at every pixel.
 """
 
-from typing import Any
-
 import torch
 
 from ...bridge.splatting import (
@@ -72,18 +70,6 @@ def project(
     return screen, covariance, depth
 
 
-class _Watched(torch.autograd.Function):
-    """``distances`` ``[G, P]`` as they are; ``watcher`` ``[G]`` gets Σ over P of their absolute gradients."""
-
-    @staticmethod
-    def forward(ctx: Any, distances: torch.Tensor, watcher: torch.Tensor) -> torch.Tensor:
-        return distances.clone()
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Any):
-        return grads[0], grads[0].abs().sum(1)
-
-
 def rasterize(
     means: torch.Tensor,
     quaternions: torch.Tensor,
@@ -92,7 +78,6 @@ def rasterize(
     colours: torch.Tensor,
     camera: Camera,
     screen_offsets: torch.Tensor | None = None,
-    absolute_offsets: torch.Tensor | None = None,
 ) -> Rasterization:
     """See ``rasterize.rasterize``; this is that function in plain torch."""
     screen, covariance, depth = project(means, quaternions, scales, camera)
@@ -142,9 +127,6 @@ def rasterize(
             )
             dx = x.reshape(1, -1) - screen[here, 0:1]
             dy = y.reshape(1, -1) - screen[here, 1:2]
-            if absolute_offsets is not None:
-                dx = _Watched.apply(dx, absolute_offsets[here, 0])
-                dy = _Watched.apply(dy, absolute_offsets[here, 1])
             power = -0.5 * (conic_a[here, None] * dx * dx + conic_c[here, None] * dy * dy)
             power = power - conic_b[here, None] * dx * dy
             alpha = (opacities[here, None] * torch.exp(power)).clamp_max(ALPHA_MAX)

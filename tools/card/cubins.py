@@ -88,7 +88,7 @@ def modules(channels: int) -> Iterator[tuple[str, int]]:
     """The rasteriser's Warp modules for so many channels, and the threads of a block of each."""
     yield projection.project.module.name, arrays.BLOCK
     yield tiles.draw_kernel(channels).module.name, arrays.BLOCK
-    backward = tiles.draw_backward_kernel(channels, False).module.name
+    backward = tiles.draw_backward_kernel(channels).module.name
     yield backward, tiles.WARP
     yield backward, tiles.TILE_PIXELS
 

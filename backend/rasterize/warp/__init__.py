@@ -38,7 +38,6 @@ def rasterize(
     colours: torch.Tensor,
     camera: Camera,
     screen_offsets: torch.Tensor | None = None,
-    absolute_offsets: torch.Tensor | None = None,
 ) -> Rasterization:
     """See ``rasterize.rasterize``. Float32 tensors on one device, a CUDA card or the CPU.
 
@@ -51,7 +50,6 @@ def rasterize(
         "opacities": opacities,
         "colours": colours,
         "screen_offsets": screen_offsets,
-        "absolute_offsets": absolute_offsets,
     }
     for name, tensor in tensors.items():
         if tensor is None:
@@ -63,18 +61,11 @@ def rasterize(
             )
     if means.device.type == "cpu":
         refuse_what_is_not_finite(tensors)
-    if absolute_offsets is not None and colours.shape[1] > MOST_CHANNELS:
-        raise BadValueError(
-            f"absolute_offsets are for {MOST_CHANNELS} channels at most, got {colours.shape[1]}",
-            "Draw in several passes: absolute values of parts do not add up to those of the whole.",
-        )
     if screen_offsets is None:
         screen_offsets = means.new_zeros(len(means), 2)
     geometry = (means, quaternions, scales, opacities)
-    rest = (screen_offsets, absolute_offsets)
-    passes = [
-        _Rasterize.apply(camera, *geometry, part, *rest) for part in colours.split(MOST_CHANNELS, dim=1)
-    ]
+    parts = colours.split(MOST_CHANNELS, dim=1)
+    passes = [_Rasterize.apply(camera, *geometry, part, screen_offsets) for part in parts]
     image, alpha, radii = passes[0]
     if len(passes) > 1:
         image = torch.cat([part for part, _, _ in passes])
@@ -84,9 +75,7 @@ def rasterize(
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, camera: Camera, *tensors: Any):
-        means, quaternions, scales, opacities, colours, offsets = (
-            t.detach().contiguous() for t in tensors[:6]
-        )
+        means, quaternions, scales, opacities, colours, offsets = (t.detach().contiguous() for t in tensors)
         seen = project(camera, means, quaternions, scales, opacities, colours, offsets)
         drawn = draw(camera, seen, colours.shape[1])
         # Not the same tensor: an output in ctx, but for what is saved, is a cycle that only gc frees.
@@ -106,8 +95,8 @@ class _Rasterize(torch.autograd.Function):
         grad_image = torch.zeros_like(image) if grad_image is None else grad_image.contiguous()
         grad_alpha = torch.zeros_like(alpha) if grad_alpha is None else grad_alpha.contiguous()
         drawn = ctx.drawn._replace(image=image, alpha=alpha)
-        sums = draw_backward(drawn, grad_image, grad_alpha, absolute=ctx.needs_input_grad[7])
+        sums = draw_backward(drawn, grad_image, grad_alpha)
         geometry = (means, quaternions, scales, opacities)
-        gradients = project_backward(ctx.camera, *geometry, ctx.radii, sums, len(image))
+        gradients = project_backward(ctx.camera, *geometry, ctx.radii, sums)
         wanted = zip(gradients, ctx.needs_input_grad[1:], strict=True)
         return None, *(gradient if needed else None for gradient, needed in wanted)

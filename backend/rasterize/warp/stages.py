@@ -22,7 +22,6 @@ from .tiles import (
     draw_backward_kernel,
     draw_kernel,
     record_rows,
-    sums_of,
     sums_type,
 )
 
@@ -49,7 +48,7 @@ class Drawn(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """Of every input of ``rasterize``; ``absolute`` is None unless it was asked for."""
+    """Of every tensor that ``rasterize`` takes."""
 
     means: torch.Tensor
     quaternions: torch.Tensor
@@ -57,7 +56,6 @@ class Gradients(NamedTuple):
     opacities: torch.Tensor
     colours: torch.Tensor
     offsets: torch.Tensor
-    absolute: torch.Tensor | None
 
 
 def project(
@@ -111,18 +109,16 @@ def draw(camera: Camera, seen: Projected, channels: int) -> Drawn:
     return Drawn(image, alpha, lists, tiles_x, records, ends)
 
 
-def draw_backward(
-    drawn: Drawn, grad_image: torch.Tensor, grad_alpha: torch.Tensor, absolute: bool = False
-) -> torch.Tensor:
-    """Moments and gradients of colours of each Gaussian that was projected, ``[N, sums_of(C, absolute)]``."""
+def draw_backward(drawn: Drawn, grad_image: torch.Tensor, grad_alpha: torch.Tensor) -> torch.Tensor:
+    """Moments and gradients of colours of each Gaussian that was projected, ``[N, MOMENTS + C]``."""
     image, alpha, lists, tiles_x, records, ends = drawn
     channels, height, width = image.shape
     ordered = torch.are_deterministic_algorithms_enabled()
-    size = sums_of(channels, absolute)
+    size = MOMENTS + channels
     sums = records.new_zeros(len(records), size)
     into = records.new_zeros(len(lists.gaussians), size) if ordered else sums
     launch(
-        draw_backward_kernel(channels, absolute),
+        draw_backward_kernel(channels),
         (len(lists.tile_starts) - 1) * TILE_PIXELS if len(lists.gaussians) else 0,
         [
             *(Array(lists.tile_starts, wp.int32), Array(lists.gaussians, wp.int32)),
@@ -130,7 +126,7 @@ def draw_backward(
             *(Array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
             *(Array(image, wp.float32), Array(alpha, wp.float32), Array(ends, wp.int32)),
             *(Array(grad_image, wp.float32), Array(grad_alpha, wp.float32)),
-            Array(into, sums_type(channels, absolute)),
+            Array(into, sums_type(channels)),
         ],
         records.device,
         # A tile's pixels in one block: each pair has one author.
@@ -157,7 +153,6 @@ def project_backward(
     opacities: torch.Tensor,
     radii: torch.Tensor,
     sums: torch.Tensor,
-    channels: int,
 ) -> Gradients:
     """From ``draw_backward``'s sums to the inputs of ``project``."""
     count = len(means)
@@ -175,13 +170,5 @@ def project_backward(
         means.device,
     )
     of_means, of_quaternions, of_scales, of_opacities, of_offsets = made
-    of_colours, rest = sums[:, MOMENTS:].split([channels, sums.shape[1] - MOMENTS - channels], dim=1)
-    return Gradients(
-        of_means,
-        of_quaternions,
-        of_scales,
-        of_opacities,
-        of_colours.contiguous(),
-        of_offsets,
-        rest.contiguous() if rest.shape[1] else None,
-    )
+    of_colours = sums[:, MOMENTS:].contiguous()
+    return Gradients(of_means, of_quaternions, of_scales, of_opacities, of_colours, of_offsets)

@@ -27,8 +27,6 @@ TILE_PIXELS = TILE * TILE
 WARP = 32
 #: Gradients before the colours': Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy² (v = ∂L/∂ ln alpha).
 MOMENTS = 6
-#: After the colours' where they are asked for: Σ |∂L/∂x|, Σ |∂L/∂y| of the position on the screen.
-ABSOLUTE = 2
 
 
 def record_rows(channels: int) -> int:
@@ -111,12 +109,12 @@ def draw_kernel(channels: int) -> Any:
 
 
 @cache
-def draw_backward_kernel(channels: int, absolute: bool) -> Any:
-    """The backward pass for so many channels; ``absolute``: with sums of absolute values at the end."""
+def draw_backward_kernel(channels: int) -> Any:
+    """The backward pass for so many channels."""
     Colour = wp.types.vector(channels, wp.float32)
-    Sums = wp.types.vector(sums_of(channels, absolute), wp.float32)
+    Sums = sums_type(channels)
     C, ROWS = channels, record_rows(channels)
-    name = f"physhdr_draw_backward_{channels}" + ("_absolute" if absolute else "")
+    name = f"physhdr_draw_backward_{channels}"
 
     @wp.kernel(enable_backward=False, module=name, grid_stride=False)
     def draw_backward(
@@ -195,9 +193,6 @@ def draw_backward_kernel(channels: int, absolute: bool) -> Any:
                         part[3] = v * dx * dx
                         part[4] = v * dx * dy
                         part[5] = v * dy * dy
-                        if wp.static(absolute):
-                            part[wp.static(MOMENTS + C)] = 2.0 * wp.abs(v * head[2] * u)
-                            part[wp.static(MOMENTS + C + 1)] = 2.0 * wp.abs(v * (head[3] * u + more[0] * dy))
                     T -= weight
                 whole = wp.tile_sum(wp.tile(part, preserve_type=True))
                 wp.tile_atomic_add(sums, whole, offset=targets[i])
@@ -205,10 +200,6 @@ def draw_backward_kernel(channels: int, absolute: bool) -> Any:
     return draw_backward
 
 
-def sums_of(channels: int, absolute: bool) -> int:
-    """How many sums a Gaussian has: moments, colours' gradients, absolute values."""
-    return MOMENTS + channels + (ABSOLUTE if absolute else 0)
-
-
-def sums_type(channels: int, absolute: bool) -> Any:
-    return wp.types.vector(sums_of(channels, absolute), wp.float32)
+def sums_type(channels: int) -> Any:
+    """A Gaussian's sums: moments and the colours' gradients."""
+    return wp.types.vector(MOMENTS + channels, wp.float32)

@@ -96,7 +96,7 @@ def process(rank, folder):
     for camera, each, rows, of_rows in views:
         of_view = back.new_zeros(len(tensors[0]), RETURNED)
         of_view[rows] = of_rows
-        found = stages.project_backward(camera, *tensors[:4], each.radii, of_view, CHANNELS)
+        found = stages.project_backward(camera, *tensors[:4], each.radii, of_view)
         for total, part in zip(gradients, found[:6], strict=True):
             total += part
     sent = 4 * parts[1 - rank].numel(), 4 * sums.split(sizes)[1 - rank].numel()

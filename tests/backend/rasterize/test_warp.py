@@ -55,18 +55,10 @@ def gaussians(count=200, channels=6, seed=0):
     ]
 
 
-def gradients(implementation, tensors, dtype=torch.float32, camera=CAMERA, absolute=False):
-    """A picture, and the gradients of random weights on it; ``absolute``: absolute sums last."""
+def gradients(implementation, tensors, dtype=torch.float32, camera=CAMERA):
+    """A picture, and the gradients of random weights on it."""
     leaves = [t.to(dtype).clone().requires_grad_() for t in tensors]
-    if absolute:
-        leaves.append(torch.zeros(len(tensors[0]), 2, dtype=dtype, requires_grad=True))
-    drawn = rasterize(
-        *leaves[:5],
-        camera,
-        screen_offsets=leaves[5],
-        absolute_offsets=leaves[6] if absolute else None,
-        implementation=implementation,
-    )
+    drawn = rasterize(*leaves[:5], camera, screen_offsets=leaves[5], implementation=implementation)
     generator = torch.Generator().manual_seed(1)
     weights = torch.randn(drawn.image.shape, generator=generator).to(dtype)
     (drawn.image * weights).sum().backward()
@@ -105,45 +97,6 @@ def test_any_number_of_channels(warp, channels):
     expected, truth = gradients("reference", tensors, torch.float64)
     assert drawn.image.shape == (channels, CAMERA.height, CAMERA.width)
     assert_close([drawn.image, *ours], [expected.image, *truth])
-
-
-@pytest.mark.parametrize("blocks", [False, True])
-def test_absolute_sums_of_screen_gradients(warp, blocks, monkeypatch):
-    """Against the reference in float64, whose own are sums of absolute gradients of single pixels."""
-    if blocks and not hasattr(warp.config, "enable_cpu_blocks"):
-        pytest.skip("before warp-lang 1.18 there are no blocks on the CPU")
-    if blocks:
-        monkeypatch.setattr(warp.config, "enable_cpu_blocks", True)
-    tensors = gaussians(120)
-    _, ours = gradients("warp", tensors, absolute=True)
-    _, truth = gradients("reference", tensors, torch.float64, absolute=True)
-    assert_close(ours, truth)
-    signed, absolute = truth[5], truth[6]
-    assert (absolute >= signed.abs() - 1e-9).all() and absolute.sum() > 2.0 * signed.abs().sum()
-
-
-def test_the_references_absolute_sums_are_those_of_single_pixels():
-    """One pixel at a time, by plain autograd."""
-    camera = Camera(np.eye(4), 6, 5, 5.0, 5.0, 3.0, 2.5)
-    tensors = gaussians(8, 2)
-    _, found = gradients("reference", tensors, torch.float64, camera, absolute=True)
-    weights = torch.randn(2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
-    expected = torch.zeros(8, 2, dtype=torch.float64)
-    for pixel in range(30):
-        offsets = torch.zeros(8, 2, dtype=torch.float64, requires_grad=True)
-        inputs = [t.double() for t in tensors[:5]]
-        image = rasterize(*inputs, camera, screen_offsets=offsets, implementation="reference").image
-        (image * weights).flatten(1)[:, pixel].sum().backward()
-        expected += offsets.grad.abs()
-    torch.testing.assert_close(found[6], expected, rtol=1e-9, atol=1e-12)
-
-
-def test_absolute_sums_are_refused_where_they_would_be_wrong(warp):
-    tensors = gaussians(5, 40)
-    with pytest.raises(BadValueError, match="32 channels at most"):
-        gradients("warp", tensors, absolute=True)
-    with pytest.raises(BadValueError, match="no absolute sums"):
-        gradients("cpu", gaussians(5), absolute=True)
 
 
 def test_too_many_pairs_are_refused_before_memory_is(warp, monkeypatch):
@@ -465,7 +418,7 @@ tests.assert_close(tests.gradients("warp", tensors)[1], truth)
 @pytest.mark.parametrize("fault", [None, *MUTANTS])
 def test_blocks_on_the_cpu_show_faults_between_threads(in_blocks, fault, tmp_path):
     """Broken on purpose, in a process of its own; unbroken it passes."""
-    old, new = MUTANTS[fault] if fault else ("def sums_of", "def sums_of")
+    old, new = MUTANTS[fault] if fault else ("def sums_type", "def sums_type")
     program = PROGRAM.format(folder=str(tmp_path), here=__file__, old=old, new=new)
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
