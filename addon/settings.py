@@ -39,7 +39,7 @@ EXPOSURE_MODES = [
 DEVICES = [
     ("auto", "Automatic", "An NVIDIA card if there is one that works, else the processor"),
     ("cpu", "Processor", "The processor"),
-    ("cuda", "NVIDIA card", "CUDA; needs a card and its driver, and Warp or gsplat"),
+    ("cuda", "NVIDIA card", "CUDA; needs a card, its driver and Warp"),
 ]
 LENSES = [
     ("OPENCV", "Ordinary", "Barrel, pincushion and a little more: most lenses"),

@@ -1,38 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where to compute: a CUDA card if there is one whose kernels work, else the CPU, and why."""
 
-from collections.abc import Callable
 from typing import Literal
 
 import torch
 
 from ..bridge.errors import BadValueError
-from .rasterize.card import INSTALL_WARP, unavailable_reason, warp_unavailable_reason, way
-from .rasterize.cuda import is_built
+from .rasterize.card import INSTALL_WARP, unavailable_reason
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
-BUILDING = "gsplat compiles its CUDA kernels: one to five minutes, the first time only"
 
-
-def choose_device(name: DeviceName, report: Callable[[str], None] | None = None) -> tuple[torch.device, str]:
+def choose_device(name: DeviceName) -> tuple[torch.device, str]:
     """The device and a line that says why it was chosen.
 
-    ``report`` is told before something slow begins (the kernels are compiled at their first use).
     Raises ``BadValueError`` where ``cuda`` is asked for and cannot be used.
     """
     if name == "cpu":
         return torch.device("cpu"), "on the CPU, as asked"
-    if report and torch.cuda.is_available() and warp_unavailable_reason() is not None and not is_built():
-        report(BUILDING)
     reason = unavailable_reason()
     if reason is None:
-        by = ", by Warp's kernels" if way() == "warp" else ""
-        return torch.device("cuda"), f"on {torch.cuda.get_device_name()}{by}"
+        return torch.device("cuda"), f"on {torch.cuda.get_device_name()}"
     if name == "cuda":
-        raise BadValueError(
-            f"cannot compute on CUDA: {reason}", f"Choose --device cpu. {INSTALL_WARP} Or gsplat and nvcc."
-        )
+        raise BadValueError(f"cannot compute on CUDA: {reason}", f"Choose --device cpu. {INSTALL_WARP}")
     return torch.device("cpu"), f"on the CPU ({reason})"
 
 

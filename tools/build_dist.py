@@ -28,7 +28,6 @@ READ = {
     "locks/torch.txt",
     "locks/torch-cuda.txt",
     "locks/torch-cuda12.txt",
-    "locks/gsplat.txt",
     "locks/warp.txt",
     "locks/warp12.txt",
 }

@@ -4,13 +4,11 @@
 
     make gpu-check
     python3 tools/gpu_check.py --json gpu.json --profile
-    python3 tools/gpu_check.py --only warp
 
-Two ways to compute on a card are checked, each where it is installed: Warp's kernels, which need nothing but
-the card's driver, and gsplat's, which need nvcc. Compares pictures, gradients, whole iterations and short
-trainings with the CPU's, then measures. Ends with 0 where all comparisons hold, with 1 where one fails or
-neither way works; where there is no card it says so and ends with 0. ``--rehearse`` runs every line of it on
-the CPU in small sizes, without a card.
+Compares pictures, gradients, whole iterations and short trainings by Warp's kernels with the CPU's, then
+measures. Ends with 0 where all comparisons hold, with 1 where one fails or the kernels do not work; where
+there is no card it says so and ends with 0. ``--rehearse`` runs every line of it on the CPU in small sizes,
+without a card.
 """
 
 import argparse
@@ -70,7 +68,6 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="also write everything to this file")
     parser.add_argument("--profile", action="store_true", help="also say which kernels take the time")
     parser.add_argument("--rehearse", action="store_true", help="everything on the CPU, in small sizes")
-    parser.add_argument("--only", choices=("cuda", "warp"), help="check this way alone (cuda: gsplat)")
     parser.add_argument("--bare", action="store_true", help="as if only torch and NumPy were installed")
     parser.add_argument("--cubins", action="store_true", help="only print what Warp's CUBINs say; no card")
     arguments = parser.parse_args()
@@ -95,7 +92,7 @@ def main() -> int:
             _say(line)
         return 0
     started = time.perf_counter()
-    sides = _rehearsed(arguments.only) if arguments.rehearse else _usable(arguments.only)
+    sides = _rehearsed() if arguments.rehearse else _usable()
     if not sides:
         _say("FAILED: nothing can be computed on this card")
         return 1
@@ -131,7 +128,7 @@ def _check(side: Any, arguments: argparse.Namespace, has_numba: bool, report: di
     for channels in sizes.channels:
         for finding in parity.rasteriser(side, judge, sizes.gaussians, channels):
             found(finding)
-    if side.way == "warp":
+    if side.implementation == "warp":
         found(parity.same_bits(side, sizes.gaussians, 6))
     picture, count = sizes.picture, sizes.training_gaussians
     for name in PRESET_NAMES:
@@ -171,33 +168,21 @@ def _check(side: Any, arguments: argparse.Namespace, has_numba: bool, report: di
     return all(f.passed for f in findings)
 
 
-def _usable(only: str | None) -> list[Any]:
-    """The ways that work on this card, made ready; says why another does not."""
+def _usable() -> list[Any]:
+    """The card's side, its kernels made ready; none where they do not work, and says why."""
     import torch
     from card.side import Side
 
-    from physhdr.backend.device import BUILDING
-    from physhdr.backend.rasterize import card, cuda
+    from physhdr.backend.rasterize import card
 
-    sides, device = [], torch.device("cuda")
-    if only != "cuda":
-        reason = card.warp_unavailable_reason()
-        if reason is None:
-            sides.append(Side("Warp", device, "warp", way="warp"))
-        else:
-            _say(f"not by Warp: {reason}")
-    if only != "warp":
-        if not cuda.is_built():
-            _say(BUILDING)
-        reason = cuda.unavailable_reason()
-        if reason is None:
-            sides.append(Side("gsplat", device, "cuda", way="cuda"))
-        else:
-            _say(f"not by gsplat: {reason}")
-    return sides
+    reason = card.unavailable_reason()
+    if reason is None:
+        return [Side("Warp", torch.device("cuda"), "warp")]
+    _say(f"not by Warp: {reason}")
+    return []
 
 
-def _rehearsed(only: str | None) -> list[Any]:
+def _rehearsed() -> list[Any]:
     """In place of a card the reference, and Warp's own kernels where it is installed."""
     from importlib.util import find_spec
 
@@ -205,10 +190,8 @@ def _rehearsed(only: str | None) -> list[Any]:
     from card.side import Side
 
     cpu = torch.device("cpu")
-    sides = [Side("rehearsal", cpu, "reference", plain=True)] if only != "warp" else []
-    if only != "cuda" and find_spec("warp"):
-        sides.append(Side("rehearsal by Warp", cpu, "warp", way="warp"))
-    return sides
+    sides = [Side("rehearsal", cpu, "reference", plain=True)]
+    return [*sides, Side("rehearsal by Warp", cpu, "warp")] if find_spec("warp") else sides
 
 
 def _machine() -> str:
@@ -221,8 +204,8 @@ def _machine() -> str:
             return "none"
 
     card = torch.cuda.get_device_name() if torch.cuda.is_available() else "no card"
-    packages = f"warp-lang {version('warp-lang')}, gsplat {version('gsplat')}"
-    return f"{card}, torch {torch.__version__}, {packages}, Python {platform.python_version()}"
+    warp = version("warp-lang")
+    return f"{card}, torch {torch.__version__}, warp-lang {warp}, Python {platform.python_version()}"
 
 
 def _skip(why: str) -> int:

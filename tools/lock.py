@@ -12,7 +12,7 @@ environment, itself locked by its hash.
     backend.txt     the trainer and the extra prepare, without torch
     develop.txt     the extras test and develop, on top of it
     torch.txt       torch itself; torch-cuda.txt: the libraries that its CUDA build for Linux asks for
-    gsplat.txt      the extra cuda; warp.txt: the extra warp
+    warp.txt        the extra warp
     torch-cuda12.txt, warp12.txt: instead of torch-cuda.txt and warp.txt where a driver or card is too old for
                     CUDA 13: what torch's build for CUDA 12 asks for, and the last Warp on PyPI for it
     bpy.txt         the bpy wheel and what it asks for; blender.txt: what our side of Blender needs beside it
@@ -70,7 +70,6 @@ HEADERS = {
     "backend.txt": "The trainer's packages (the extras backend and prepare) without torch.",
     "develop.txt": "The extras test and develop; goes with backend.txt.",
     "torch-cuda.txt": "What torch's CUDA build for Linux asks for, as PyPI has it.",
-    "gsplat.txt": "The extra cuda; goes with backend.txt and torch-cuda.txt.",
     "warp.txt": "The extra warp; goes with backend.txt.",
     "torch-cuda12.txt": "What torch's build for CUDA 12 for Linux asks for, as PyPI has it.",
     "warp12.txt": "The extra warp for CUDA 12; goes with backend.txt, in place of warp.txt.",
@@ -129,12 +128,11 @@ def lock(scratch: Path, former: dict[str, str], keep: bool) -> dict[str, str]:
     resolver = Resolver(scratch, "\n".join(former.values()) if keep else "", former.get("uv.txt", ""))
     (scratch / "build.in").write_text("\n".join(project()["build-system"]["requires"]), encoding="utf-8")
     # Everything together first, so that what one part caps holds for all; then the parts, at those versions.
-    everything = resolver.pins(OLDEST, ["backend", "prepare", "cuda", "warp", "test", "develop"])
+    everything = resolver.pins(OLDEST, ["backend", "prepare", "warp", "test", "develop"])
     limits = scratch / "everything.txt"
     limits.write_text("\n".join(pin.requirement for pin in everything), encoding="utf-8")
     backend = resolver.pins(OLDEST, ["backend", "prepare"], limits)
     develop = resolver.pins(OLDEST, ["backend", "prepare", "test", "develop"], limits)
-    gsplat = resolver.pins(OLDEST, ["backend", "prepare", "cuda"], limits)
     warp = resolver.pins(OLDEST, ["backend", "prepare", "warp"], limits)
     blender = resolver.pins(BLENDER, ["blender"])
     (scratch / "bpy.in").write_text("\n".join(p.requirement for p in blender if p.name == "bpy"))
@@ -153,7 +151,6 @@ def lock(scratch: Path, former: dict[str, str], keep: bool) -> dict[str, str]:
         "backend.txt": without(common, [torch]),
         "torch-cuda.txt": [p for p in backend if OF_CUDA.match(p.name)],
         "develop.txt": without(develop, backend),
-        "gsplat.txt": without(gsplat, backend),
         "warp.txt": without(warp, backend),
         "warp12.txt": without(warp12, common),
         "bpy.txt": bpy,

@@ -62,8 +62,8 @@ TORCH_INDEX = {
 #: The locks that each build needs beside torch's, in the folder ``locks`` beside the launcher's.
 LOCKS = {
     "cpu": ("backend.txt",),
-    "cuda": ("backend.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"),
-    "cuda12": ("backend.txt", "torch-cuda12.txt", "gsplat.txt", "warp12.txt"),
+    "cuda": ("backend.txt", "torch-cuda.txt", "warp.txt"),
+    "cuda12": ("backend.txt", "torch-cuda12.txt", "warp12.txt"),
     "pip": ("backend.txt",),
 }
 #: Where drivers leave their program that tells of cards, where it is not on the path (Windows, WSL).

@@ -75,7 +75,7 @@ def check(tell: Callable[[float, str], None]) -> Findings:
     from . import trial_step  # torch and all the rest of ours
 
     with findings.timed("device"):
-        findings.device, findings.why = trial_step.device(lambda message: tell(IMPORTED, message))
+        findings.device, findings.why = trial_step.device()
     if findings.device == "cpu":
         tell(IMPORTED, "compiling kernels, once: half a minute to some minutes")
         with findings.timed("kernels"):

@@ -34,9 +34,9 @@ class MadeUpPictures(PictureCache):
         return Decoded(codes.astype(np.uint8))
 
 
-def device(report: Callable[[str], None]) -> tuple[str, str]:
+def device() -> tuple[str, str]:
     """``cpu`` or ``cuda``, and why."""
-    chosen, why = choose_device("auto", report)
+    chosen, why = choose_device("auto")
     return chosen.type, why
 
 

@@ -43,7 +43,6 @@ from ..simd import (
     total,
     zero_each,
 )
-from .compiled import compiled_on_cuda
 from .curve_table import MAX_WEIGHT, interpolate, knots_for
 from .plain import can_fuse, card_takes
 
@@ -132,14 +131,12 @@ def small_mlp(
     return _Networks.apply(x[None], w1[None], b1[None], w2[None], b2[None], activation)[0]
 
 
-@compiled_on_cuda
 def curve_mlp_reference(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
     """``curve_mlp`` in plain torch, for any dtype and device."""
     hidden = _TORCH[activation](w1[:, :, None] * x[:, None, :] + b1[:, :, None])
     return (w2[:, :, None] * hidden).sum(1) + b2[:, None]
 
 
-@compiled_on_cuda
 def small_mlp_reference(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
     """``small_mlp`` in plain torch, for any dtype and device."""
     return w2 @ _TORCH[activation](w1 @ x + b1[:, None]) + b2[:, None]

@@ -33,7 +33,7 @@ def plain_torch() -> Iterator[None]:
 
 def can_fuse(*tensors: torch.Tensor) -> bool:
     """Whether the CPU's kernels may take these: all float32 on the CPU, and not inside ``plain_torch`` (nor
-    where the CPU computes as a card would, ``card.using``)."""
+    where the CPU computes as a card would, ``card.warp_on_cpu``)."""
     if _plain.get() or cpu_computes_as_a_card():
         return False
     return all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)

@@ -9,7 +9,6 @@ from torch import nn
 
 from ...bridge.errors import BadValueError
 from ..kernels.spherical_harmonics import evaluate_sh
-from ..rasterize.card import way
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .backbone import Attributes, Backbone, Splats, Start
@@ -140,10 +139,6 @@ class Gaussians(Backbone):
         arguments = self.reflectance_dc, self.reflectance_rest, means, viewpoint, degree
         if self.attributes.direction_gradient:
             return evaluate_sh(*arguments, direction_gradient=True)
-        if self.means.is_cuda and degree > 0 and len(self) > 0 and way() == "cuda":
-            from ..rasterize.cuda import evaluate_sh as by_gsplat  # imports gsplat
-
-            return by_gsplat(*arguments)
         return evaluate_sh(*arguments)
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Draw Gaussians: one function, one contract (``contract.py``), four implementations.
+"""Draw Gaussians: one function, one contract (``contract.py``), three implementations.
 
-``reference`` is plain torch and the oracle of the tests; ``cpu`` is Numba; ``cuda`` is gsplat, for cards,
-whose kernels need a compiler; ``warp`` is NVIDIA Warp, for cards with nothing but their driver, and for
-tests on the CPU. Nothing outside this package knows which one runs.
+``reference`` is plain torch and the oracle of the tests; ``cpu`` is Numba; ``warp`` is NVIDIA Warp, for
+CUDA cards, and for tests on the CPU. Nothing outside this package knows which one runs.
 """
 
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from ..scene.camera import Camera
 from .card import warp_rasterize, warp_takes
 from .contract import Rasterization
 
-Implementation = Literal["auto", "reference", "cpu", "cuda", "warp"]
+Implementation = Literal["auto", "reference", "cpu", "warp"]
 
 __all__ = ["Implementation", "Rasterization", "rasterize"]
 
@@ -72,24 +71,18 @@ def _chosen(name: Implementation, means: torch.Tensor) -> Implementation:
         return name
     if warp_takes(means):
         return "warp"
-    return "cuda" if means.is_cuda else "reference" if means.dtype == torch.float64 else "cpu"
+    return "reference" if means.is_cuda or means.dtype == torch.float64 else "cpu"
 
 
 def _implementation(name: Implementation, means: torch.Tensor) -> Callable[..., Rasterization]:
     """The drawing function of that name."""
-    # Imported late: Numba, gsplat and Warp are heavy, and only one of them is needed.
-    if name == "cuda":
-        if not means.is_cuda:
-            raise BadValueError(
-                "the rasteriser 'cuda' cannot draw what is on the CPU", "Choose --device cuda as well."
-            )
-        from .cuda import rasterize as draw
-    elif name == "warp":
+    # Imported late: Numba and Warp are heavy, and only one of them is needed.
+    if name == "warp":
         draw = warp_rasterize()
     elif name == "cpu":
         from .cpu import rasterize as draw
     elif name == "reference":
         from .reference import rasterize as draw
     else:
-        raise BadValueError(f"no rasteriser is called {name!r}", "Choose auto, reference, cpu, cuda or warp.")
+        raise BadValueError(f"no rasteriser is called {name!r}", "Choose auto, reference, cpu or warp.")
     return draw

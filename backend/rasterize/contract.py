@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What every rasteriser takes and gives, and what all of them do with a splat's limits (bridge/splatting.py).
 
-Conventions (gsplat's, so that the CUDA path draws the same picture):
+Conventions (gsplat's, so that its pictures and ours are the same):
 
 * a pixel's centre is at +0.5; a 2D covariance is low-pass filtered by + ``LOW_PASS`` on its diagonal;
 * ``alpha = min(ALPHA_MAX, opacity · exp(−½ dᵀ Σ⁻¹ d))``; a contribution with less than ``ALPHA_MIN`` is

@@ -47,7 +47,7 @@ class Workshop:
         self, scene: Scene, config: TrainConfig, resumed: Path | None = None, configuration: str = ""
     ) -> Trainer:
         """The trainer, on its device; raises ``NotEnoughMemoryError`` before anything that takes long."""
-        device, why = choose_device(self.device, self.report)
+        device, why = choose_device(self.device)
         self.report(f"computing {why}")
         check_memory(scene, config, device, self.report, resumed=resumed is not None)
         if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):

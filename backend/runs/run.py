@@ -153,7 +153,7 @@ def open_run(
         config,
         scene.response_anchor,
         rasteriser,
-        choose_device(device, report)[0],
+        choose_device(device)[0],
         written.fingerprint,
     )
     learned, twists = learned_of_photographs(folder)

@@ -40,7 +40,7 @@ class Machine:
     def default_device(self) -> tuple[str, str]:
         """The device in words and why it is that; no device and why not, where there is none as wanted."""
         try:
-            device, why = choose_device(self._default_device, log.info)
+            device, why = choose_device(self._default_device)
         except BadValueError as error:
             return "", error.message  # a training that asks for another one still works
         return device_words(device), why

@@ -168,7 +168,6 @@ def place(tmp_path, empty):
     made.lock("torch.txt", torch=f"{torch} {cu130} {cu126}")
     made.lock("torch-cuda.txt", nvidia_thing=wheel(tmp_path / "mine", "nvidia-thing", "1.0"))
     made.lock("torch-cuda12.txt", nvidia_thing_cu12=wheel(tmp_path / "mine", "nvidia-thing-cu12", "1.0"))
-    made.lock("gsplat.txt")
     made.lock("warp.txt", warp_of_13=wheel(tmp_path / "mine", "warp-of-13", "1.0"))
     made.lock("warp12.txt", warp_of_12=wheel(tmp_path / "mine", "warp-of-12", "1.0"))
     yield made

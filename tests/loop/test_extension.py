@@ -76,7 +76,7 @@ def test_the_zip_bundles_the_wheels_that_are_pinned_and_the_locks_of_the_trainer
         names = archive.namelist()
         digests = [hashlib.sha256(archive.read(n)).hexdigest() for n in names if n.endswith(".whl")]
     assert sorted(digests) == sorted(re.findall(r"--hash=sha256:(\S+)", pins))
-    locks = {"backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"}
+    locks = {"backend.txt", "torch.txt", "torch-cuda.txt", "warp.txt"}
     locks |= {"torch-cuda12.txt", "warp12.txt"}  # instead, where a driver or a card is too old for CUDA 13
     assert {Path(name).name for name in names if name.startswith("locks/")} == locks
 

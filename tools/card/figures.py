@@ -120,7 +120,7 @@ def rasteriser(side: Side, count: int, size: int, repeats: int, channels: int = 
         yield Figure(f"{name}: drawn and back", 1e3 * side.seconds(both, repeats), "ms")
         if allocated := side.peak_bytes()[0]:
             yield Figure(f"{name}: peak memory", allocated / 1e9, "GB")
-        if side.way == "warp":
+        if side.implementation == "warp":
             torch.use_deterministic_algorithms(True)
             try:
                 side.seconds(both, max(2, repeats // 10))

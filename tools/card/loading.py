@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Get the package ``physhdr`` from this checkout on a machine where it is not installed.
 
-A machine with a card may have torch and gsplat and little else. What reads files (OpenEXR, PNG, PLY,
+A machine with a card may have torch and Warp and little else. What reads files (OpenEXR, PNG, PLY,
 safetensors) is then replaced by names that refuse to be used: nothing here reads a file. Numba is needed by
 the CPU's kernels only; without it the plain-torch reference stands in for them.
 """

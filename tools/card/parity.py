@@ -17,7 +17,7 @@ from .side import Side
 #: Relative L2 error of a picture. A Gaussian whose alpha is within rounding of 1/255 may be drawn on one side
 #: and not on the other; one such pixel in a picture of 128×96 makes 1e-4.
 PICTURE = 5e-4
-#: Of a gradient: gsplat's backward knows the transmittance of saturated pixels to 1e-3 only.
+#: Of a gradient.
 GRADIENT = 1e-2
 #: Of the mean of five trainings, in dB: three standard errors. Rounding grows into different Gaussians, so
 #: that a pair of trainings differs by 0.7 dB (standard deviation of 15 pairs, Warp's kernels and the CPU's,

@@ -11,26 +11,24 @@ import torch
 
 from physhdr.backend.kernels import plain_torch
 from physhdr.backend.rasterize import Implementation, rasterize
-from physhdr.backend.rasterize.card import Way, using
+from physhdr.backend.rasterize.card import warp_on_cpu
 from physhdr.backend.scene.camera import Camera
 
 
 @dataclass(frozen=True)
 class Side:
-    """Where something is computed, by which rasteriser and whose other kernels (``way``), and whether by the
-    plain-torch twins."""
+    """Where something is computed, by which rasteriser, and whether by the plain-torch twins."""
 
     name: str
     device: torch.device
     implementation: Implementation
     plain: bool = False
-    way: Way | None = None
 
     @contextlib.contextmanager
     def computing(self) -> Iterator[None]:
         plain = plain_torch() if self.plain else contextlib.nullcontext()
-        on_cpu = self.device.type == "cpu"
-        with plain, using(self.way, on_cpu=on_cpu) if self.way else contextlib.nullcontext():
+        is_stand_in = self.implementation == "warp" and self.device.type == "cpu"
+        with plain, warp_on_cpu() if is_stand_in else contextlib.nullcontext():
             yield
 
     def wait(self) -> None:

@@ -18,7 +18,7 @@ def by_warp(request, monkeypatch):
         if not hasattr(warp.config, "enable_cpu_blocks"):
             pytest.skip("before warp-lang 1.18 there are no blocks on the CPU")
         monkeypatch.setattr(warp.config, "enable_cpu_blocks", True)
-    with card.using("warp", on_cpu=True):
+    with card.warp_on_cpu():
         yield
 
 

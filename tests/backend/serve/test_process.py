@@ -179,7 +179,7 @@ def test_the_requirements_are_those_of_pyproject(extension):
     assert all(f'"{requirement}"' in pyproject for requirement in listed)
     names = {line.partition(">")[0] for line in listed}
     assert {"numpy", "torch", "websockets", "safetensors"} <= names and "pytest" not in names
-    assert launched(extension, "requirements", "cuda").stdout.splitlines()[-1].startswith("gsplat")
+    assert launched(extension, "requirements", "warp").stdout.splitlines()[-1].startswith("warp-lang")
 
 
 def test_check_names_the_module_that_is_missing(extension):

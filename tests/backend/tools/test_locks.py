@@ -21,8 +21,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 TOGETHER = {
     ("backend.txt", "torch.txt"): ["backend"],
     ("backend.txt", "torch.txt", "develop.txt"): ["backend", "test", "develop"],
-    ("backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"): ["backend", "cuda", "warp"],
-    ("backend.txt", "torch.txt", "torch-cuda12.txt", "gsplat.txt", "warp12.txt"): ["backend", "cuda", "warp"],
+    ("backend.txt", "torch.txt", "torch-cuda.txt", "warp.txt"): ["backend", "warp"],
+    ("backend.txt", "torch.txt", "torch-cuda12.txt", "warp12.txt"): ["backend", "warp"],
     ("bpy.txt", "blender.txt"): ["blender"],
 }
 SYSTEMS = [("linux", "x86_64"), ("linux", "aarch64"), ("win32", "AMD64"), ("darwin", "arm64")]

@@ -34,7 +34,7 @@ def sides(monkeypatch):
     from card.side import Side
 
     cpu = torch.device("cpu")
-    return Side("Warp", cpu, "warp", way="warp"), Side("the CPU's kernels", cpu, "cpu"), parity, truth
+    return Side("Warp", cpu, "warp"), Side("the CPU's kernels", cpu, "cpu"), parity, truth
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
