@@ -27,7 +27,7 @@ class Calibrate:
     def run(self) -> int:
         run = open_run(self.folder, self.data)
         (vignetting, reach), _ = learned_of_photographs(self.folder)
-        calibration = calibration_of(run.splatting, vignetting, reach, run.scene.name)
+        calibration = calibration_of(run.method, vignetting, reach, run.scene.name)
         if calibration.response is None and calibration.vignetting is None:
             raise DataMismatchError(
                 f"{self.folder} has learned nothing of its camera: its pictures' response was known",

@@ -19,7 +19,7 @@ from ..evaluate.panorama import LitSplats, surroundings
 from ..evaluate.pictures import compared_everywhere
 from ..evaluate.results import VIEWS_OF
 from ..export.confidence import confidence_picture
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..runs.run import Run
 from ..scene import Camera
 from ..scene.pictures import write_exr, write_png
@@ -29,7 +29,7 @@ from .told import progress
 LEGEND, GAP = 12, 4
 
 
-def on_gaussians_and_sure(run: Run) -> tuple[SplattingMethod, np.ndarray]:
+def on_gaussians_and_sure(run: Run) -> tuple[Method, np.ndarray]:
     """The method on plain Gaussians and their confidence ``[N]``.
 
     Raises ``FileMissingError`` where the training pictures are not there to tell it.

@@ -117,7 +117,7 @@ class Export:
         write_standard_ply(out / BAKED_FILE, **standard, comments=comments)
         console.print(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")
 
-        if not isinstance(run.splatting.backbone, Gaussians):
+        if not isinstance(run.method.backbone, Gaussians):
             console.print("no lossless.ply: its columns are Gaussians', and this run has anchors")
             return 0
         comments.append("phys_ columns and phys_network lines hold the model, scene-linear; keep these")

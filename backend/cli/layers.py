@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..evaluate.panorama import LitSplats, parted
 from ..export.confidence import confidence_picture
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..scene.camera import Camera
 from ..scene.pictures import write_exr_channels
 
@@ -31,7 +30,7 @@ LONGEST_PASS = 60
 class Sure:
     """Each Gaussian's confidence ``[N]``, and the method on plain Gaussians whose they are."""
 
-    method: SplattingMethod
+    method: Method
     confidence: np.ndarray
 
 
@@ -53,38 +52,17 @@ class Layers:
     confidence: torch.Tensor | None
 
 
-def lights_apart(method: SplattingMethod) -> tuple[str, ...]:
-    """The lights that ``lit_splats`` has a part of each for; () where the method cannot tell them apart.
-
-    Where nothing is known of the light, a level scales all of it: it is all the first light's.
-    """
-    return method.lights if method.has_light_share or not method.can_relight else ()
-
-
-def lit_splats(method: SplattingMethod, camera: Camera) -> LitSplats:
-    """A method's splats as ``camera`` sees them, each light at level 1 (``lights_apart``)."""
-    splats = method.backbone.splats(camera, method.active_sh_degree)
-    radiance = method.radiance_of(splats, None)
-    if not lights_apart(method):
-        parts = radiance[None]
-    elif splats.light_share is not None:
-        parts = parted(radiance, splats.light_share)
-    else:
-        parts = parted(radiance, torch.ones_like(radiance)[:, None])
-    return LitSplats(splats.means, splats.quaternions, splats.scales, splats.opacities, parts)
-
-
 @torch.no_grad()
 def draw_layers(
-    method: SplattingMethod, camera: Camera, levels: tuple[float, ...], sure: Sure | None = None
+    method: Method, camera: Camera, levels: tuple[float, ...], sure: Sure | None = None
 ) -> Layers:
     """What ``camera`` sees at one level a light."""
     drawn = method.preview(camera, levels)
     assert drawn.depth is not None, "a preview has it"
-    names = lights_apart(method)
+    names = method.lights_apart
     fixed, lights = None, {}
     if names:
-        parts, _ = lit_splats(method, camera).drawn(camera, method.implementation)
+        parts, _ = method.lit_splats(camera).drawn(camera, method.implementation)
         fixed, lights = parts[0], dict(zip(names, parts[1:], strict=True))
     confidence = None
     if sure is not None:

@@ -20,14 +20,13 @@ from ...bridge.probe import WIDTH, Probe, begin, check_width, finish
 from ...bridge.signals import caught, interrupt
 from ..device import DeviceName
 from ..evaluate.panorama import SPLATS_WIDTH, Draw, Report, lit_model, surroundings
-from ..methods.base import Method, SplattingMethod
+from ..methods.base import Method
 from ..project import version
 from ..rasterize import Implementation
 from ..runs.run import open_run
 from ..scene import Camera
 from ..scene.pictures import write_exr
 from .given import given_of
-from .layers import lights_apart, lit_splats
 from .told import answered, line, saying
 
 #: What is told of a model that cannot tell its lights apart.
@@ -101,12 +100,12 @@ class Panorama:
                 say(NO_LIGHTS)
         return told
 
-    def _opened(self) -> "_OfModel | _OfSplats | _OfPictures":
+    def _opened(self) -> "_OfModel | _OfMethod":
         if self.source.is_dir():
-            method = open_run(
+            run = open_run(
                 self.source, self.data, self.rasteriser, self.device, saying(self.json), pictures=False
-            ).method
-            return _OfSplats(method.splatting) if method.splatting else _OfPictures(method)
+            )
+            return _OfMethod(run.method)
         if given := given_of(self, "data", "device"):
             raise BadValueError(
                 f"--{given[0]} only applies to a run, and {self.source} is not a folder", "Leave it out."
@@ -122,7 +121,7 @@ class Panorama:
 
     def _probe(
         self,
-        model: "_OfModel | _OfSplats | _OfPictures",
+        model: "_OfModel | _OfMethod",
         place: Sequence[float],
         folder: Path,
         report: Report,
@@ -166,41 +165,21 @@ class _OfModel:
         return lambda camera: kept.drawn(camera, self._implementation)
 
 
-class _OfSplats:
+class _OfMethod:
     """A trained method's light, of its own splats: anchors' are other ones for every picture."""
 
-    drawn_width = SPLATS_WIDTH
-
-    def __init__(self, method: SplattingMethod) -> None:
+    def __init__(self, method: Method) -> None:
         self._method, self.left_out = method, 0
-        self.lights = lights_apart(method)
+        self.lights = method.lights_apart
         self.positions = method.backbone.positions.detach().cpu().numpy()
+        self.drawn_width = SPLATS_WIDTH if len(self.positions) else 0
 
     def draw(self, place: Sequence[float], near: float) -> Draw:
         self.left_out = 0
 
         def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-            splats = lit_splats(self._method, camera)
-            kept = splats.beyond(place, near)
-            self.left_out = max(self.left_out, len(splats.means) - len(kept.means))
-            return kept.drawn(camera, self._method.implementation)
-
-        return draw
-
-
-class _OfPictures:
-    """The light of a method without splats, which sees something in every direction, and no light apart."""
-
-    lights: tuple[str, ...] = ()
-    positions = np.zeros((0, 3), np.float32)
-    left_out = drawn_width = 0
-
-    def __init__(self, method: Method) -> None:
-        self._method = method
-
-    def draw(self, place: Sequence[float], near: float) -> Draw:
-        def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-            picture = self._method.hdr(camera)
-            return picture[None], torch.ones_like(picture[0])
+            parts, alpha, left_out = self._method.parts_beyond(camera, place, near)
+            self.left_out = max(self.left_out, left_out)
+            return parts, alpha
 
         return draw

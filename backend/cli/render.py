@@ -177,10 +177,7 @@ class Render:
             raise BadValueError("--view is one camera, --camera a file of them", "Leave one of them out.")
 
     def _opened(self) -> Run:
-        run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
-        if self.layers:
-            _ = run.splatting  # what draws no splats has no depth, alpha or light of its own
-        return run
+        return open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
 
     def _sure(self, run: Run) -> Sure | None:
         """The confidence for --layers; None without, and, which is told, where no picture tells it."""

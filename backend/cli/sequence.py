@@ -179,7 +179,7 @@ def require_model(folder: Path, digest: str) -> None:
 def draw(run: Run, frame: Frame, sure: Sure | None = None) -> None:
     """Draw a frame into its file; raises ``OutputError``, ``BadValueError`` for NaN."""
     if frame.layers:
-        layers = draw_layers(run.splatting, frame.camera, frame.levels, sure)
+        layers = draw_layers(run.method, frame.camera, frame.levels, sure)
         finite(layers.radiance, frame.path.name)
         write_layers(frame.path, layers, frame.levels)
     elif frame.path.suffix.lower() == ".exr":

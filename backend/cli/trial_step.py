@@ -75,8 +75,7 @@ def one_step(where: str) -> tuple[float, int]:
     """
     scene = made_up_scene()
     trainer = Trainer(scene, PRESETS["default"], device=where)
-    method, camera = trainer.method.splatting, scene.train[0].camera
-    assert method is not None
+    method, camera = trainer.method, scene.train[0].camera
     before = {name: t.detach().clone() for name, t in method.backbone.parameters.items()}
     loss = float(sum(trainer.step().values()))
     after = method.backbone.parameters

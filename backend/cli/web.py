@@ -74,7 +74,7 @@ def _written(
 
 def page_of(run: Run) -> WebPage:
     """What the page of a run shows beside its model: the data set's cameras, a picture, what is different."""
-    method = run.splatting
+    method = run.method
     scene = run.scene
     views = [
         WebView(f"{split}/{view.index}", view.camera)
@@ -100,7 +100,7 @@ def is_upright(scene: Scene) -> bool:
 
 def response_words(run: Run) -> tuple[str, str]:
     """The title of a run's response, and how the page's picture differs from the method's own, or ""."""
-    method = run.splatting
+    method = run.method
     if not method.learns_response:
         return "sRGB (known response)", ""
     if method.curves.config.local or method.curves.config.mix:

@@ -16,7 +16,7 @@ from ...bridge.lights import AMBIENT
 from ...bridge.lossless_form import CURVE, EXPOSURES, FORM, LIGHTS, NETWORK, tensor_comments
 from ...bridge.model_file import ADDITIVE_LIGHTS, Model
 from ...bridge.ply_model import AMBIENT_LOGITS, CONFIDENCE, LIGHT_LOGITS
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..model.gaussians import Gaussians
 
 
@@ -41,7 +41,7 @@ def confidence_column(model: Model) -> dict[str, np.ndarray]:
     return {} if model.confidence is None else {CONFIDENCE: model.confidence}
 
 
-def network_comments(method: SplattingMethod, model: Model) -> list[str]:
+def network_comments(method: Method, model: Model) -> list[str]:
     """The networks, the sampled response, the exposures and what the radiance is made of, as comment lines.
 
     ``write_lossless_ply`` says all but the networks in the names of columns, too.

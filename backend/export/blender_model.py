@@ -14,7 +14,7 @@ import torch
 from ...bridge.limits import FARTHEST
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import FIT_DIRECTIONS, basis, fibonacci_sphere
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..model.backbone import Splats
 from ..model.gaussians import SH_C0, Gaussians
 from ..scene.camera import Camera
@@ -24,7 +24,7 @@ BAKED_LEVELS = tuple(float(2.0**power) for power in range(-5, 6))
 
 
 @torch.no_grad()
-def log_radiance_sh(method: SplattingMethod) -> np.ndarray:
+def log_radiance_sh(method: Method) -> np.ndarray:
     """``[N, K, 3]``: SH of ln radiance at level 1, exact for the product, least squares for a learned g."""
     g = method.gaussians
     degree = method.active_sh_degree
@@ -49,7 +49,7 @@ def _splats(g: Gaussians, log_reflectance: torch.Tensor) -> Splats:
 
 
 @torch.no_grad()
-def level_log_gain(method: SplattingMethod, viewpoint: torch.Tensor) -> np.ndarray:
+def level_log_gain(method: Method, viewpoint: torch.Tensor) -> np.ndarray:
     """``[L, N, 3]``: ln(ĉ(level) / ĉ(1)) at ``BAKED_LEVELS`` as seen from ``viewpoint`` (``[3]``, metres)."""
     g = method.gaussians
     splats = _splats(g, g.log_reflectance(viewpoint, method.active_sh_degree))
@@ -59,13 +59,13 @@ def level_log_gain(method: SplattingMethod, viewpoint: torch.Tensor) -> np.ndarr
 
 
 @torch.no_grad()
-def tone_curve(method: SplattingMethod) -> tuple[np.ndarray, np.ndarray]:
+def tone_curve(method: Method) -> tuple[np.ndarray, np.ndarray]:
     """The learned global response: ln exposure ``[M]`` and LDR ``[M, 3]``."""
     x, y = method.tone_mapper.sampled()
     return x.numpy(), y.numpy()
 
 
-def on_gaussians(method: SplattingMethod, cameras: Sequence[Camera]) -> SplattingMethod:
+def on_gaussians(method: Method, cameras: Sequence[Camera]) -> Method:
     """The method on the CPU and on plain Gaussians: itself where it is, else a copy.
 
     ``cameras``: those for which anchors' Gaussians are to be right.
@@ -81,7 +81,7 @@ def on_gaussians(method: SplattingMethod, cameras: Sequence[Camera]) -> Splattin
 
 @torch.no_grad()
 def to_model(
-    method: SplattingMethod,
+    method: Method,
     viewpoint: np.ndarray,
     exposures: tuple[float, ...],
     metadata: dict[str, str],

@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from ...bridge.confidence import TOLERANCE
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..model.backbone import Splats
 from ..model.tone_mapper import Response
 from ..rasterize import Rasterization, rasterize
@@ -197,7 +197,7 @@ def thinned(seen: Sequence[Seen]) -> Sequence[Seen]:
 
 @torch.no_grad()
 def confidence_of(
-    method: SplattingMethod, seen: Sequence[Seen], show: Callable[[int, int, str], None] | None = None
+    method: Method, seen: Sequence[Seen], show: Callable[[int, int, str], None] | None = None
 ) -> np.ndarray:
     """``[N]`` float32 in 0 … 1, of a method on plain Gaussians on the CPU (``on_gaussians``).
 
@@ -229,7 +229,7 @@ def confidence_at(expected: np.ndarray) -> np.ndarray:
 
 
 @torch.no_grad()
-def confidence_picture(method: SplattingMethod, confidence: np.ndarray, camera: Camera) -> Rasterization:
+def confidence_picture(method: Method, confidence: np.ndarray, camera: Camera) -> Rasterization:
     """Confidence drawn as ``camera`` sees it: three equal channels, 0 where nothing is drawn."""
     splats = method.backbone.splats(camera, method.active_sh_degree)
     colours = torch.from_numpy(np.ascontiguousarray(confidence, np.float32))[:, None].expand(-1, 3)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the trainer, the evaluation, the server and the export want of every method.
 
-``Method`` is any system that can be trained on batches and asked for pictures; its configuration
-(``MethodConfig``) declares what others must know of it. ``SplattingMethod`` is one that draws a backbone's
-splats, which has its whole use (pictures, previews) written once: it needs the colours of the splats and the
-way from radiance to the picture.
+``Method`` is a system that can be trained on batches and asked for pictures; its configuration
+(``MethodConfig``) declares what others must know of it. It draws a backbone's splats, and has its whole use
+(pictures, previews) written once: a method needs the colours of the splats and the way from radiance to the
+picture.
 """
 
 from abc import ABC, abstractmethod
@@ -19,6 +19,7 @@ from torch import nn
 from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
 from ..device import use_whole_float32
+from ..evaluate.panorama import LitSplats, parted
 from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..kernels.ahead import Needs
 from ..kernels.ssim import SsimTarget
@@ -39,7 +40,7 @@ Responses = Literal["learned", "mixed", "known"]
 class Traits:
     """What others must know of a method, as its configuration declares it."""
 
-    #: It draws a backbone's splats, which start at points, grow, and can be exported (``Method.splatting``).
+    #: It draws a backbone's splats, which start at points and grow.
     splats: bool = True
     #: What the lighting level follows. view: it learns from views under other light, each at its own level;
     #: exposure: it knows no light but that of the exposure, and such views would only confuse it.
@@ -201,64 +202,114 @@ class Outcome:
 
 
 class Method(nn.Module, ABC):
-    """A system of the benchmark. ``lights``: names of those it has levels for.
+    """A system of the benchmark: a backbone of splats and a global response curve (and perhaps more).
 
+    Subclasses say what colour the splats have (``radiance_of``) and how a picture comes of it (``ldr_at``).
     Whoever uses one gives lighting levels as ``Levels``; here they become one number a light, once.
     """
 
+    backbone: Backbone
+    tone_mapper: Response
+    #: Names of the lights that have levels.
     lights: tuple[str, ...] = (AMBIENT,)
     #: Adam's. 3DGS's: gradients of Gaussians are tiny, and Adam's default would damp them.
     adam_epsilon: float = 1e-15
+
+    def __init__(self, config: MethodConfig, backbone: Backbone, facts: Facts) -> None:
+        super().__init__()
+        self.lights = check_lights(facts.lights, "the method")
+        self.attributes = config.attributes(self.lights)
+        self.backbone = backbone
+        #: The backbone's share of what a checkpoint holds.
+        self.backbone_networks = backbone.networks
+        self.implementation: Implementation = facts.implementation
+        self.log_radiance_range = facts.log_radiance_range
+        #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
+        self.active_sh_degree = self.attributes.sh_degree
 
     @abstractmethod
     def training_outcome(self, batch: Batch) -> Outcome:
         """The forward pass and the losses of one iteration."""
 
     @abstractmethod
+    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
+        """Scene-linear colours ``[M, 3]`` of splats; ``levels`` None: as captured."""
+
+    # -- training --------------------------------------------------------------------------------------
+
     def parameter_groups(self) -> dict[str, list[torch.Tensor]]:
         """What is optimised, by the names that learning rates have; empty groups are left out."""
+        groups = {name: [tensor] for name, tensor in self.backbone.parameters.items()}
+        groups |= {name: list(network.parameters()) for name, network in self.backbone.networks.items()}
+        return groups | {name: params for name, params in self.network_groups().items() if params}
 
     def network_groups(self) -> dict[str, list[torch.Tensor]]:
-        """Those of ``parameter_groups`` that ``OptimiserConfig.networks_times`` hastens."""
-        return {}
+        """The method's own networks by the names of their rates.
+
+        Those of ``parameter_groups`` that ``OptimiserConfig.networks_times`` hastens.
+        """
+        return {"tone_mapper": list(self.tone_mapper.parameters())}
 
     def rates(self) -> dict[str, Rate]:
-        """Learning rates that are the method's own; the others are ``OptimiserConfig``'s."""
-        return {}
+        """Learning rates that are the method's or the backbone's own; others are ``OptimiserConfig``'s."""
+        return self.backbone.rates()
+
+    def backbone_terms(self, splats: Splats) -> dict[str, torch.Tensor]:
+        """The backbone's own loss term, for ``Outcome.terms``; empty where it has none."""
+        term = self.backbone.regulariser(splats)
+        return {} if term is None else {"scale": term}
 
     @property
-    @abstractmethod
     def first_response(self) -> Response:
         """The response by which pictures say how bright the first points are, and where stereo finds them."""
+        return self.tone_mapper
 
     def prepare(self, seed: int) -> None:
         """Done once before a training, such as a warm start of the response."""
+        self.tone_mapper.warm_start(seed)
 
     def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
         """Set what depends on the iteration alone, before it is trained (and before it is used)."""
+        self.active_sh_degree = min(self.attributes.sh_degree, iteration // sh_degree_every)
+
+    # -- what it is ------------------------------------------------------------------------------------
 
     @property
-    @abstractmethod
     def size(self) -> int:
         """How many Gaussians there are; 0 of a method that has none."""
+        return self.backbone.gaussian_count
 
     @property
-    @abstractmethod
-    def device(self) -> torch.device: ...
+    def device(self) -> torch.device:
+        return self.backbone.positions.device
 
-    @abstractmethod
     def to_device(self, device: torch.device) -> None:
         """Move everything; an optimiser must be made after this."""
+        if device.type == "cuda":
+            use_whole_float32()
+        self.to(device)
+        self.backbone.to_device(device)
 
     @property
-    def splatting(self) -> "SplattingMethod | None":
-        """Itself where it draws splats (``Traits.splats``), else None."""
-        return None
+    def gaussians(self) -> Gaussians:
+        """The backbone where it is 3DGS's."""
+        if not isinstance(self.backbone, Gaussians):
+            raise BadValueError(
+                "this model is made of anchors, whose Gaussians are another set for each view",
+                "Use backbone.splats(camera), or export it, which fixes them.",
+            )
+        return self.backbone
 
     @property
     def learns_response(self) -> bool:
         """Whether ``response_curve`` is learned; else it is the sRGB curve, by which pictures are shown."""
-        return True
+        return isinstance(self.tone_mapper, ToneMapper)
+
+    @property
+    def curves(self) -> ToneMapper:
+        """The response of a method that always learns it (``Facts.refuse_known``)."""
+        assert isinstance(self.tone_mapper, ToneMapper)
+        return self.tone_mapper
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -269,6 +320,24 @@ class Method(nn.Module, ABC):
     def can_relight(self) -> bool:
         """Whether light can be turned apart from the exposure; without, a level only scales."""
         return False
+
+    @property
+    def composes_by_product(self) -> bool:
+        """Whether ln radiance is ln L_a + ln H_r, and nothing else."""
+        return True
+
+    @property
+    def has_light_share(self) -> bool:
+        """Whether each splat knows which share of its radiance each light causes."""
+        return self.attributes.lights > 0
+
+    @property
+    def lights_apart(self) -> tuple[str, ...]:
+        """The lights that ``lit_splats`` has a part of each for; () where the method cannot tell them apart.
+
+        Where nothing is known of the light, a level scales all of it: it is all the first light's.
+        """
+        return self.lights if self.has_light_share or not self.can_relight else ()
 
     # -- use -------------------------------------------------------------------------------------------
 
@@ -307,9 +376,10 @@ class Method(nn.Module, ABC):
         """``photographed`` at one level a light; of methods with ``Traits.effects``."""
         raise BadValueError("this method knows of no gain, white balance or vignetting of a photo")
 
-    @abstractmethod
     def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
         """``hdr`` at one level a light."""
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        return self.rasterize(splats, self.seen_radiance(splats, levels), camera).image
 
     @abstractmethod
     def ldr_at(self, camera: Camera, exposure: float, levels: tuple[float, ...]) -> torch.Tensor:
@@ -321,110 +391,10 @@ class Method(nn.Module, ABC):
         """``ldr_bracket`` at one level a light."""
         return [self.ldr_at(camera, exposure, levels) for exposure in exposures]
 
+    @torch.no_grad()
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
         """The global response, ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``; or None."""
-        return None
-
-
-class SplattingMethod(Method):
-    """A method on a backbone of splats and with a global response curve (and perhaps more).
-
-    Subclasses say what colour the splats have (``radiance_of``) and how a picture comes of it (``ldr_at``).
-    """
-
-    backbone: Backbone
-    tone_mapper: Response
-
-    def __init__(self, config: MethodConfig, backbone: Backbone, facts: Facts) -> None:
-        super().__init__()
-        self.lights = check_lights(facts.lights, "the method")
-        self.attributes = config.attributes(self.lights)
-        self.backbone = backbone
-        #: The backbone's share of what a checkpoint holds.
-        self.backbone_networks = backbone.networks
-        self.implementation: Implementation = facts.implementation
-        self.log_radiance_range = facts.log_radiance_range
-        #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
-        self.active_sh_degree = self.attributes.sh_degree
-
-    @abstractmethod
-    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
-        """Scene-linear colours ``[M, 3]`` of splats; ``levels`` None: as captured."""
-
-    @property
-    def splatting(self) -> "SplattingMethod":
-        return self
-
-    @property
-    def learns_response(self) -> bool:
-        return isinstance(self.tone_mapper, ToneMapper)
-
-    @property
-    def first_response(self) -> Response:
-        return self.tone_mapper
-
-    @property
-    def curves(self) -> ToneMapper:
-        """The response of a method that always learns it (``Facts.refuse_known``)."""
-        assert isinstance(self.tone_mapper, ToneMapper)
-        return self.tone_mapper
-
-    @property
-    def composes_by_product(self) -> bool:
-        """Whether ln radiance is ln L_a + ln H_r, and nothing else."""
-        return True
-
-    @property
-    def has_light_share(self) -> bool:
-        """Whether each splat knows which share of its radiance each light causes."""
-        return self.attributes.lights > 0
-
-    @property
-    def gaussians(self) -> Gaussians:
-        """The backbone where it is 3DGS's."""
-        if not isinstance(self.backbone, Gaussians):
-            raise BadValueError(
-                "this model is made of anchors, whose Gaussians are another set for each view",
-                "Use backbone.splats(camera), or export it, which fixes them.",
-            )
-        return self.backbone
-
-    @property
-    def size(self) -> int:
-        return self.backbone.gaussian_count
-
-    @property
-    def device(self) -> torch.device:
-        return self.backbone.positions.device
-
-    def to_device(self, device: torch.device) -> None:
-        if device.type == "cuda":
-            use_whole_float32()
-        self.to(device)
-        self.backbone.to_device(device)
-
-    def parameter_groups(self) -> dict[str, list[torch.Tensor]]:
-        groups = {name: [tensor] for name, tensor in self.backbone.parameters.items()}
-        groups |= {name: list(network.parameters()) for name, network in self.backbone.networks.items()}
-        return groups | {name: params for name, params in self.network_groups().items() if params}
-
-    def rates(self) -> dict[str, Rate]:
-        return super().rates() | self.backbone.rates()
-
-    def backbone_terms(self, splats: Splats) -> dict[str, torch.Tensor]:
-        """The backbone's own loss term, for ``Outcome.terms``; empty where it has none."""
-        term = self.backbone.regulariser(splats)
-        return {} if term is None else {"scale": term}
-
-    def network_groups(self) -> dict[str, list[torch.Tensor]]:
-        """The method's own networks by the names of their rates."""
-        return {"tone_mapper": list(self.tone_mapper.parameters())}
-
-    def prepare(self, seed: int) -> None:
-        self.tone_mapper.warm_start(seed)
-
-    def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
-        self.active_sh_degree = min(self.attributes.sh_degree, iteration // sh_degree_every)
+        return self.tone_mapper.sampled()
 
     # -- drawing ---------------------------------------------------------------------------------------
 
@@ -460,11 +430,28 @@ class SplattingMethod(Method):
         colours = self.radiance_of(splats, levels if self.can_relight and not standard else None)
         return colours if self.can_relight or standard else colours * levels[0]
 
-    # -- use -------------------------------------------------------------------------------------------
-
-    def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
+    def lit_splats(self, camera: Camera) -> LitSplats:
+        """The splats as ``camera`` sees them, each light at level 1 (``lights_apart``)."""
         splats = self.backbone.splats(camera, self.active_sh_degree)
-        return self.rasterize(splats, self.seen_radiance(splats, levels), camera).image
+        radiance = self.radiance_of(splats, None)
+        if not self.lights_apart:
+            parts = radiance[None]
+        elif splats.light_share is not None:
+            parts = parted(radiance, splats.light_share)
+        else:
+            parts = parted(radiance, torch.ones_like(radiance)[:, None])
+        return LitSplats(splats.means, splats.quaternions, splats.scales, splats.opacities, parts)
+
+    def parts_beyond(
+        self, camera: Camera, place: Sequence[float], near: float
+    ) -> tuple[torch.Tensor, torch.Tensor, int]:
+        """What ``camera`` sees without the splats within ``near`` metres of ``place`` ``[3]`` or around it.
+
+        The parts of ``lit_splats`` ``[P, 3, H, W]``, coverage ``[H, W]``, and how many were left out.
+        """
+        splats = self.lit_splats(camera)
+        kept = splats.beyond(place, near)
+        return *kept.drawn(camera, self.implementation), len(splats.means) - len(kept.means)
 
     @torch.no_grad()
     def preview(self, camera: Camera, lighting_level: Levels = 1.0) -> Rasterization:
@@ -489,12 +476,8 @@ class SplattingMethod(Method):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """``preview_ldr`` at one level a light."""
 
-    @torch.no_grad()
-    def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
-        return self.tone_mapper.sampled()
 
-
-class UnlitMethod(SplattingMethod):
+class UnlitMethod(Method):
     """A method whose splats have a radiance, and no light apart from it: ``log_illumination`` stays 0."""
 
     def log_radiance(self, splats: Splats) -> torch.Tensor:

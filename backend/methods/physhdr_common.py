@@ -28,10 +28,10 @@ from .base import (
     Drawn,
     Exposed,
     Facts,
+    Method,
     MethodConfig,
     Outcome,
     Recording,
-    SplattingMethod,
     Traits,
     mean_terms,
 )
@@ -181,7 +181,7 @@ class Developed:
     global_ldr: torch.Tensor
 
 
-class PhysHDRMethod(SplattingMethod, Generic[D]):
+class PhysHDRMethod(Method, Generic[D]):
     """A backbone and three networks; subclasses say what is drawn (``D``) and how it is developed.
 
     ``facts.lights``: names of the lights that have levels. Only the additive modulator knows more than one:

@@ -18,8 +18,7 @@ from .physhdr_paper import PaperPhysHDR
 class Registered(NamedTuple):
     """A method: its settings, and what makes it of them.
 
-    ``make`` is called with the settings, a backbone without primitives where the method draws splats, and
-    the ``Facts``.
+    ``make`` is called with the settings, a backbone without primitives, and the ``Facts``.
     """
 
     config: type[MethodConfig]
@@ -43,10 +42,8 @@ def config_named(name: str) -> type[MethodConfig]:
 
 def new_method(config: MethodConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
     """An untrained method without primitives; raises ``BadValueError`` where it cannot be with these data."""
-    make = METHODS[config.name].make
-    if not config.traits.splats:
-        return make(config, facts)
-    return make(config, new_backbone(config.attributes(facts.lights), anchors), facts)
+    backbone = new_backbone(config.attributes(facts.lights), anchors)
+    return METHODS[config.name].make(config, backbone, facts)
 
 
 def new_backbone(attributes: Attributes, anchors: AnchorsConfig | None) -> Backbone:

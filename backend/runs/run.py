@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ...bridge.camera_list import ListedCamera
-from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.errors import DataMismatchError
 from ...bridge.model_file import PHOTOGRAPHED_EV, Model
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
 from ..export.confidence import Seen, confidence_of
-from ..methods.base import Method, SplattingMethod
+from ..methods.base import Method
 from ..rasterize import Implementation
 from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
@@ -63,20 +63,9 @@ class Run:
         """
         return math.log2(self.scene.middle_exposure) if self.scene.photographs else 0.0
 
-    @property
-    def splatting(self) -> SplattingMethod:
-        """The method, where it draws splats; raises ``BadValueError`` where it does not (HDR-NeRF)."""
-        method = self.method.splatting
-        if method is None:
-            raise BadValueError(
-                f"{self.folder} is of {self.config.method.name}, which has no Gaussians",
-                "Render pictures of it by physhdr render; the other methods can be exported and previewed.",
-            )
-        return method
-
-    def on_gaussians(self) -> SplattingMethod:
+    def on_gaussians(self) -> Method:
         """The method on plain Gaussians on the CPU, as files hold it."""
-        return on_gaussians(self.splatting, [view.camera for view in self.scene.train])
+        return on_gaussians(self.method, [view.camera for view in self.scene.train])
 
     def trained_views(self) -> list[View]:
         """The views of the training, their cameras where it has found them to be."""
@@ -112,7 +101,7 @@ class Run:
         return [Seen(view, which, effect, photos) for view, which, effect in each]
 
     def confidence(
-        self, method: SplattingMethod, show: Callable[[int, int, str], None] | None = None
+        self, method: Method, show: Callable[[int, int, str], None] | None = None
     ) -> np.ndarray | None:
         """``[N]`` of ``on_gaussians()``; None where ``seen()`` has no pictures to tell it."""
         seen = self.seen()

@@ -19,7 +19,7 @@ from ...bridge.messages import (
     PreviewHeader,
     PreviewRequest,
 )
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..scene.camera import Camera
 
 #: The largest finite half.
@@ -63,7 +63,7 @@ def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
 
 
 @torch.no_grad()
-def render(method: SplattingMethod, request: PreviewRequest, iteration: int) -> PreviewFrame:
+def render(method: Method, request: PreviewRequest, iteration: int) -> PreviewFrame:
     """The frame that answers ``request``; ``PreviewRequest`` says what is in it.
 
     Raises ``BadValueError`` for what cannot be rendered.

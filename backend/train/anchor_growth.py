@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError
-from ..methods.base import Drawn, SplattingMethod
+from ..methods.base import Drawn, Method
 from ..model.anchors import LARGEST_LOG_SCALE, AnchorGrowthConfig, Anchors, AnchorSplats
 from ..model.morton import morton_order
 from ..scene.camera import Camera
@@ -222,9 +222,7 @@ class AnchorGrowth(Growth):
     Raises ``BadValueError`` where the method's backbone is not anchors.
     """
 
-    def __init__(
-        self, method: SplattingMethod, optimiser: Optimiser, iterations: int, seed: tuple[int, ...]
-    ) -> None:
+    def __init__(self, method: Method, optimiser: Optimiser, iterations: int, seed: tuple[int, ...]) -> None:
         if not isinstance(method.backbone, Anchors):
             raise BadValueError(
                 "only anchors can grow as Scaffold-GS's do", "Take a preset whose name has '-scaffold'."

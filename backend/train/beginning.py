@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..methods.base import Responses, SplattingMethod
+from ..methods.base import Method, Responses
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..model.tone_mapper import Response, ToneMapper
@@ -58,7 +58,7 @@ class Begun:
     clearance: torch.Tensor | None
 
 
-def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
+def begin(method: Method, seen: Seen, config: TrainConfig) -> Begun:
     """Put the backbone's first primitives where the scene is, and begin with the response that is told.
 
     ``seen.nuisances`` begin, too. Where a method wants its ``initial_radiance`` of the points, ln radiance is

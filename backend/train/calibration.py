@@ -16,7 +16,7 @@ import torch
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError
 from ...bridge.regular import read_json_object
-from ..methods.base import SplattingMethod
+from ..methods.base import Method
 from ..model.camera_effects import COEFFICIENTS
 from ..model.tone_mapper import ToneMapper
 
@@ -42,7 +42,7 @@ class Calibration:
 
 
 def calibration_of(
-    method: SplattingMethod, vignetting: torch.Tensor | None, reach: torch.Tensor | None, origin: str
+    method: Method, vignetting: torch.Tensor | None, reach: torch.Tensor | None, origin: str
 ) -> Calibration:
     """What a trained method knows; ``vignetting`` ``[L, 3]`` and ``reach`` ``[L]`` of its lenses.
 
@@ -124,7 +124,7 @@ def read_calibration(path: Path) -> Calibration:
         raise FileDamagedError(f"{path} is not a calibration: {why}", remedy) from error
 
 
-def use_response(method: SplattingMethod, calibration: Calibration, path: str) -> None:
+def use_response(method: Method, calibration: Calibration, path: str) -> None:
     """Give the method the calibrated response; raises ``DataMismatchError`` where it cannot have it."""
     mapper = method.tone_mapper
     if not isinstance(mapper, ToneMapper):
@@ -146,6 +146,6 @@ def use_response(method: SplattingMethod, calibration: Calibration, path: str) -
     mapper.load_state_dict(response)
 
 
-def freeze_response(method: SplattingMethod) -> None:
+def freeze_response(method: Method) -> None:
     """From now on the response stays as it is."""
     method.tone_mapper.requires_grad_(False)

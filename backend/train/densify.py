@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError
-from ..methods.base import Drawn, SplattingMethod
+from ..methods.base import Drawn, Method
 from ..model.gaussians import Gaussians
 from ..model.morton import morton_order
 from ..rasterize.reference import rotation_matrices
@@ -114,7 +114,7 @@ def reset_is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool
 
 @torch.no_grad()
 def densify(
-    method: SplattingMethod,
+    method: Method,
     optimiser: Optimiser,
     state: DensifyState,
     iteration: int,
@@ -184,7 +184,7 @@ def _none_left(iteration: int, count: int, oversized: int, limit: float) -> NoGa
 
 
 @torch.no_grad()
-def reset_opacity(method: SplattingMethod, optimiser: Optimiser, config: DensifyConfig) -> None:
+def reset_opacity(method: Method, optimiser: Optimiser, config: DensifyConfig) -> None:
     """Lower every opacity to at most ``reset_opacity``; what matters grows back."""
     logits = method.gaussians.opacity_logits
     limit = torch.logit(torch.tensor(config.reset_opacity)).item()
@@ -200,7 +200,7 @@ class GaussianGrowth(Growth):
 
     def __init__(
         self,
-        method: SplattingMethod,
+        method: Method,
         optimiser: Optimiser,
         config: DensifyConfig,
         iterations: int,

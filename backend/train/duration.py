@@ -155,8 +155,7 @@ def plan_of(trainer: Trainer) -> Plan:
 
 def trainer_count(trainer: Trainer) -> int:
     """Gaussians or anchors there are; 0 of a method that has none."""
-    method = trainer.method.splatting
-    return 0 if method is None else len(method.backbone)
+    return len(trainer.method.backbone)
 
 
 def _primitives(gaussians: int, config: TrainConfig) -> int:
@@ -231,8 +230,7 @@ def _iteration(plan: Plan, half: bool, turn: int, *, late: bool) -> int:
 @torch.no_grad()
 def _grow(trial: Trainer, count: int) -> None:
     """Make it ``count`` primitives by splitting each into as many, as growth would."""
-    method = trial.method.splatting
-    assert method is not None
+    method = trial.method
     backbone = method.backbone
     now = len(backbone)
     source = torch.div(torch.arange(count, device=method.device) * now, count, rounding_mode="floor")

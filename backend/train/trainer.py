@@ -12,7 +12,7 @@ import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
-from ..methods.base import Batch, Facts, Method, Recording, Responses, SplattingMethod
+from ..methods.base import Batch, Facts, Method, Recording, Responses
 from ..methods.registry import new_method
 from ..model.anchors import Anchors
 from ..rasterize import Implementation
@@ -139,8 +139,8 @@ class Trainer:
         #: Where the views were taken from, as it is learned; None where it is taken as stated.
         self.poses = self._new_poses()
         self.method.to_device(self.device)
-        if config.calibration is not None and self.method.splatting is not None:
-            freeze_response(self.method.splatting)
+        if config.calibration is not None:
+            freeze_response(self.method)
         self.optimiser = Optimiser(
             self.method, config.optimiser, scene_extent(scene.train), config.iterations
         )
@@ -172,12 +172,12 @@ class Trainer:
         self.start_message = "random networks"
         if self.config.calibration is not None:
             self._calibrate(self.config.calibration)
-        if self.method.splatting is not None:
-            self._place(self.method.splatting)
+        if self.config.method.traits.splats:
+            self._place()
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
 
-    def _place(self, method: SplattingMethod) -> None:
+    def _place(self) -> None:
         """Put the backbone's first primitives where the scene is (``beginning``)."""
         seen = Seen(
             self.scene,
@@ -188,13 +188,13 @@ class Trainer:
             self.merged,
             self.nuisances,
         )
-        first = begin(method, seen, self.config)
+        first = begin(self.method, seen, self.config)
         self.start_message, self._clearance = first.message, first.clearance
 
     def _new_growth(self) -> Growth | None:
         config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
-        method = self.method.splatting
-        if method is None:
+        method = self.method
+        if not self.config.method.traits.splats:
             return None
         if isinstance(method.backbone, Anchors):
             return AnchorGrowth(method, self.optimiser, config.iterations, seed)
@@ -236,21 +236,17 @@ class Trainer:
 
     def _new_poses(self) -> LearnedPoses | None:
         """As the configuration says."""
-        mode, method = self.config.poses, self.method.splatting
-        if method is None and mode == "on":
+        mode, can_learn = self.config.poses, self.config.method.traits.splats
+        if mode == "on" and not can_learn:
             raise BadValueError(f"{self.config.method.name} cannot learn poses", "Leave out --poses on.")
-        if method is None or mode == "off" or (mode == "auto" and not self.scene.photographs):
+        if mode == "off" or (mode == "auto" and not (can_learn and self.scene.photographs)):
             return None
-        return LearnedPoses(self.views, method.backbone.positions)
+        return LearnedPoses(self.views, self.method.backbone.positions)
 
     def _calibrate(self, path: str) -> None:
         """Response and vignetting as the file at ``path`` has them."""
-        if self.method.splatting is None:
-            raise BadValueError(
-                f"{self.config.method.name} cannot be given a response", "Leave out --calibration."
-            )
         calibration = read_calibration(Path(path))
-        use_response(self.method.splatting, calibration, path)
+        use_response(self.method, calibration, path)
         if calibration.vignetting is None or not calibration.reach:
             return
         if self.nuisances is not None:
@@ -445,9 +441,7 @@ class Trainer:
         ``TrainingDivergedError`` where a value is no number: what is in ``folder`` is worth more then.
         """
         tensors = {f"{NETWORKS}{k}": v for k, v in self.method.state_dict().items()}
-        if self.method.splatting is not None:
-            primitives = self.method.splatting.backbone.parameters
-            tensors |= {f"{PRIMITIVES}{k}": v for k, v in primitives.items()}
+        tensors |= {f"{PRIMITIVES}{k}": v for k, v in self.method.backbone.parameters.items()}
         tensors |= self.optimiser.state_tensors()
         for part in self.parts:
             tensors |= {f"{part.name}.{k}": v for k, v in part.tensors().items()}
@@ -527,21 +521,17 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
     networks = {k: v for k, v in tensors.items() if k.startswith(NETWORKS)}
     primitives = {k: v for k, v in tensors.items() if k.startswith(PRIMITIVES)}
     wanted = {f"{NETWORKS}{name}": like for name, like in method.state_dict().items()}
-    splatting = method.splatting
-    if splatting is not None:
-        shapes = splatting.backbone.shapes()
-        count = max((tensor.shape[0] for tensor in primitives.values() if tensor.dim()), default=0)
-        if count == 0:
-            raise damaged(path, "it has no Gaussians")
-        wanted |= {
-            f"{PRIMITIVES}{name}": torch.empty(count, *shape, device="meta") for name, shape in shapes.items()
-        }
+    # One at least, or it has no Gaussians.
+    count = max((tensor.shape[0] for tensor in primitives.values() if tensor.dim()), default=0) or 1
+    wanted |= {
+        f"{PRIMITIVES}{name}": torch.empty(count, *shape, device="meta")
+        for name, shape in method.backbone.shapes().items()
+    }
     check_tensors(networks | primitives, wanted, path)
     refuse_others(networks | primitives, wanted, path)
-    if splatting is not None:
-        splatting.backbone.parameters = {
-            k.removeprefix(PRIMITIVES): v.requires_grad_() for k, v in primitives.items()
-        }
+    method.backbone.parameters = {
+        k.removeprefix(PRIMITIVES): v.requires_grad_() for k, v in primitives.items()
+    }
     method.load_state_dict({k.removeprefix(NETWORKS): v for k, v in networks.items()})
 
 

@@ -54,8 +54,8 @@ def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
 
 
 def _unread(trainer: Trainer) -> set[str]:
-    method = trainer.method.splatting
-    if method is None:
+    method = trainer.method
+    if not trainer.config.method.traits.splats:
         return {*OF_SPLATS}
     unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
     if trainer.config.initial_points in ("stereo", "random"):

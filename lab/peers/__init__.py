@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Published methods that ours is compared with, by the names that stand in files."""
 
+from ...backend.methods.base import Facts
 from ...backend.methods.registry import Registered
+from ...backend.model.backbone import Backbone
 from .gausshdr import GaussHDR, GaussHDRConfig
 from .hdr_gs import HDRGS, HDRGSConfig
 from .hdr_nerf import HDRNeRF, HDRNeRFConfig
 
+
+def _hdr_nerf(config: HDRNeRFConfig, _: Backbone, facts: Facts) -> HDRNeRF:
+    return HDRNeRF(config, facts)
+
+
 METHODS = {
     GaussHDRConfig.name: Registered(GaussHDRConfig, GaussHDR),
     HDRGSConfig.name: Registered(HDRGSConfig, HDRGS),
-    HDRNeRFConfig.name: Registered(HDRNeRFConfig, HDRNeRF),
+    HDRNeRFConfig.name: Registered(HDRNeRFConfig, _hdr_nerf),
 }

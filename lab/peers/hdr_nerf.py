@@ -17,16 +17,16 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import torch
 
-from ...backend.device import use_whole_float32
 from ...backend.kernels.ahead import Needs
-from ...backend.methods.base import Batch, Facts, Method, MethodConfig, Outcome, Pool, Traits
+from ...backend.methods.base import Batch, Facts, MethodConfig, Outcome, Pool, Traits
 from ...backend.model.rates import Rate
-from ...backend.model.tone_mapper import Response, ToneMapper, ToneMapperConfig
+from ...backend.model.tone_mapper import ToneMapper, ToneMapperConfig
 from ...backend.scene.camera import Camera
 from ...backend.scene.scene import View
 from ...bridge.errors import BadValueError
 from .field import Field, FieldConfig, importance_samples, ray_weights, stratified
 from .rays import Rays, RaySpace, pixel_directions
+from .without_splats import WithoutSplats
 
 #: Where the data name no point of the response, f(ln 1) is this (HDR-NeRF on photographs).
 UNIT_VALUE = 0.5
@@ -137,16 +137,15 @@ class Film:
         return len(self.codes if self.compared is None else self.compared)
 
 
-class HDRNeRF(Method):
+class HDRNeRF(WithoutSplats):
     """The method: two fields, each with the curves of its tone mapper, and the space that rays are in."""
 
     adam_epsilon = 1e-8
 
     def __init__(self, config: HDRNeRFConfig, facts: Facts) -> None:
-        super().__init__()
+        super().__init__(config, facts)
         self.config = config
         facts.refuse_known("HDR-NeRF")
-        self.log_radiance_range = facts.log_radiance_range
         self.coarse, self.fine = Field(config.field), Field(config.field)
         unit = facts.anchor or (1.0, UNIT_VALUE)
         self.coarse_curves = ToneMapper(config.tone_mapper, unit)
@@ -159,17 +158,12 @@ class HDRNeRF(Method):
         self._kept = _Kept()
 
     @property
-    def size(self) -> int:
-        return 0
-
-    @property
-    def device(self) -> torch.device:
-        return self.coarse.density.weight.device
+    def tone_mapper(self) -> ToneMapper:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That of the field which pictures are drawn of."""
+        return self.fine_curves
 
     def to_device(self, device: torch.device) -> None:
-        if device.type == "cuda":
-            use_whole_float32()
-        self.to(device)
+        super().to_device(device)
         self._film = None
 
     def parameter_groups(self) -> dict[str, list[torch.Tensor]]:
@@ -186,10 +180,6 @@ class HDRNeRF(Method):
 
     def rates(self) -> dict[str, Rate]:
         return {"coarse": self.config.rate(), "fine": self.config.rate()}
-
-    @property
-    def first_response(self) -> Response:
-        return self.fine_curves
 
     def prepare(self, seed: int) -> None:
         self.coarse_curves.warm_start(seed)
@@ -361,10 +351,6 @@ class HDRNeRF(Method):
         colours = torch.zeros_like(marched.log_radiance)
         colours[:, seen] = self.fine_curves.response(marched.log_radiance[:, seen] + log_exposure)
         return colours
-
-    @torch.no_grad()
-    def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
-        return self.fine_curves.sampled()
 
 
 def _marched(network: Field, rays: Rays, t: torch.Tensor, noise: torch.Tensor | None = None) -> Marched:

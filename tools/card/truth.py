@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physhdr.backend.methods.base import SplattingMethod
 from physhdr.backend.model.gaussians import SH_C0, Gaussians
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
@@ -115,9 +114,9 @@ class TrainerOn(Trainer):
         config = dataclasses.replace(config, merged_brackets="off")
         super().__init__(scene, config, side.implementation, side.device)
 
-    def _place(self, method: SplattingMethod) -> None:
+    def _place(self) -> None:
         assert self.scene.points is not None
-        method.backbone.parameters = grey_gaussians(self.scene.points.positions, self.config).parameters
+        self.method.backbone.parameters = grey_gaussians(self.scene.points.positions, self.config).parameters
 
 
 def grey_gaussians(positions: np.ndarray, config: TrainConfig) -> Gaussians:

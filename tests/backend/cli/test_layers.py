@@ -89,7 +89,7 @@ def test_lights_add_up_to_the_radiance(run: Path, tmp_path: Path) -> None:
 
 def test_alpha_and_depth_are_the_references_in_float64(run: Path, tmp_path: Path) -> None:
     whole = open_run(run)
-    method, seen = whole.splatting, whole.scene.test[0].camera
+    method, seen = whole.method, whole.scene.test[0].camera
     camera = Camera.from_field_of_view(seen.camera_to_world, 48, 40, 2.4)  # so wide that nothing is round it
     write_layers(tmp_path / "a.exr", draw_layers(method, camera, (1.0, 1.0)))
     planes, _ = opened(tmp_path / "a.exr")

@@ -30,13 +30,13 @@ def test_what_is_declared_is_so(preset, tiny_data):
     config = PRESETS[preset]
     traits = config.method.traits
     method = new_method(config.method, config.anchors, Facts())
-    assert (method.splatting is not None) == traits.splats
     if traits.splats:
-        assert method.splatting is method
         wanted = config.method.attributes(("ambient",))
         assert method.has_light_share == (wanted.lights > 0)
     else:
         assert method.size == 0
+        with pytest.raises(BadValueError, match=f"{config.method.name} has no Gaussians"):
+            method.preview(read_scene(tiny_data).train[0].camera)
     # Who follows the view's light learns from lit views at their own levels; who does not never sees one.
     scene = read_scene(tiny_data)
     supervision = "bracket" if traits.brackets_at_once else "one"

@@ -269,7 +269,7 @@ def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_a
 
     def error(config):
         trainer = Trainer(scene, config)
-        x, values = (table.detach().numpy() for table in trainer.method.splatting.tone_mapper.sampled())
+        x, values = (table.detach().numpy() for table in trainer.method.tone_mapper.sampled())
         light = np.exp(x)
         codes = (light / (1.0 + light)) ** (1.0 / 2.2)
         inside = (codes > 0.12) & (codes < 0.94)

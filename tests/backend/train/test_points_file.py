@@ -48,7 +48,7 @@ def short(preset="default", **changes):
 def begun(data, config):
     """The trainer, and the places of its Gaussians as a set."""
     trainer = Trainer(read_scene(data), config)
-    return trainer, {tuple(place) for place in trainer.method.splatting.backbone.parameters["means"].tolist()}
+    return trainer, {tuple(place) for place in trainer.method.backbone.parameters["means"].tolist()}
 
 
 def places(path):
@@ -77,7 +77,7 @@ def test_a_method_that_starts_with_the_points_colours_has_those_of_the_file(data
 
 def test_anchors_are_placed_at_the_file(data):
     trainer = Trainer(read_scene(data), short("default-scaffold", initial_points="file"))
-    anchors = trainer.method.splatting.backbone.positions.detach()
+    anchors = trainer.method.backbone.positions.detach()
     to_file, to_own = (
         torch.cdist(anchors, torch.tensor(read_points(data / name).positions)).min(1).values.mean()
         for name in ("other.ply", "points3d.ply")

@@ -91,7 +91,7 @@ def test_a_schedule_given_for_another_length_is_stretched(tiny_data, tmp_path):
         train(scene, each, tmp_path / name)
     assert_identical(weights(tmp_path / "plain"), weights(tmp_path / "stretched"))
     shown = [
-        load_method(tmp_path / name, each, scene.response_anchor)[0].splatting.active_sh_degree
+        load_method(tmp_path / name, each, scene.response_anchor)[0].active_sh_degree
         for name, each in (("plain", config), ("stretched", given))
     ]
     assert shown == [3, 3]

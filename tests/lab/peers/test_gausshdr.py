@@ -246,10 +246,10 @@ def test_from_where_no_anchor_is_seen_nothing_is_developed(camera):
     config = PRESETS["gausshdr-scaffold"]
     method = new_method(config.method, config.anchors, Facts(ANCHOR, "cpu"))
     behind = np.random.default_rng(5).uniform(-0.6, 0.6, (30, 3)) + [0.0, 0.0, 9.0]
-    method.splatting.backbone.place(behind, np.zeros((30, 3)), Start())
+    method.backbone.place(behind, np.zeros((30, 3)), Start())
     assert method.hdr(camera).max() == 0.0
-    nothing = method.splatting.preview(camera)
-    at_nothing = method.splatting.preview_ldr(nothing, camera, EXPOSURE)[1]
+    nothing = method.preview(camera)
+    at_nothing = method.preview_ldr(nothing, camera, EXPOSURE)[1]
     assert torch.allclose(method.ldr(camera, EXPOSURE), at_nothing.expand(3, 20, 24), atol=1e-6)
     recording = Recording(exposure=EXPOSURE, picture=torch.rand(3, 20, 24))
     batch = Batch(camera=camera, recordings=(recording,), levels=(1.0,), iteration=0, pool=None)
