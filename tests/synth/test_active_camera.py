@@ -46,7 +46,7 @@ def follower():
 
 @pytest.fixture
 def scene():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.camera = add("mine", bpy.data.cameras.new("mine"), (3, 0, 0))
     add("other", bpy.data.cameras.new("other"), (-5, 0, 0))

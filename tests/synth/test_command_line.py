@@ -13,6 +13,7 @@ from physhdr.synth.errors import OptionError
 from physhdr.synth.make_scene import main
 from physhdr.synth.options import Options, evs
 from physhdr.synth.parse import parse_evs, parse_mixtures, parse_numbers, parse_resolution, parse_scenes
+from physhdr.tests.synth.open_scene import user_scene
 
 ROOT = Path(__file__).parents[2]
 
@@ -94,7 +95,9 @@ def test_a_broken_dataset_json_is_named(tmp_path, capsys):
 def test_a_full_disk_in_the_middle(tmp_path):
     """No file may grow beyond 20 kB, which the passes do: a clear error, and no half file under its name."""
     out = tmp_path / "d"
+    room = user_scene.saved(tmp_path / "room.blend")
     command = f"ulimit -f 20; exec {sys.executable} {ROOT / 'synth/make_scene.py'} -- --out {out}"
+    command += f" --from-file {room}"
     command += " --resolution 64 --samples 1 --views 2 --lit-views 0 --no-denoise"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert done.returncode == 1 and "Traceback" not in done.stderr

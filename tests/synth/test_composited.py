@@ -29,7 +29,7 @@ def add(name, data, location=(0, 0, 0)):
 @pytest.fixture
 def scene():
     """A floor under a white sky and a lamp, from above: it fills the picture."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     floor = bpy.data.meshes.new("floor")
     floor.from_pydata([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], [], [(0, 1, 2, 3)])

@@ -29,7 +29,7 @@ def cube(name):
 @pytest.fixture
 def scene():
     """A chair in a collection, a shelf that is an instance, a wire, lights, a sky, a material, a camera."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     chairs, books = bpy.data.collections.new("Chairs"), bpy.data.collections.new("Books")
     scene.collection.children.link(chairs)

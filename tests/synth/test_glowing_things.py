@@ -41,7 +41,7 @@ def material(name, kind, socket="Surface", **inputs):
 @pytest.fixture
 def scene():
     """A cube before a camera, in the dark."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     add("cube", cube("cube"))
     camera = add("camera", bpy.data.cameras.new("camera"))

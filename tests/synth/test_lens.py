@@ -17,7 +17,7 @@ from physhdr.synth.stage import CameraHints, Stage
 
 bpy = pytest.importorskip("bpy", reason="needs Blender: run with .venvs/run-blender")
 
-SIZE, ANGLE = (120, 90), math.radians(62.0)
+SIZE, ANGLE = (60, 45), math.radians(62.0)
 PHONE = "opencv:-0.18,0.06,0.003,-0.002"
 WIDE = "fisheye:-0.03,0.012,-0.004,0.0006"
 
@@ -64,7 +64,7 @@ def test_without_distortion_it_is_the_pinhole_and_the_equidistant_fisheye():
     assert pinhole / pinhole[2] == pytest.approx([-half, -half * 0.75, 1.0])
     lens = parse_lens("fisheye:0,0,0,0", SIZE, ANGLE)
     angle = math.acos(lens.directions(corner)[0, 2])
-    assert angle == pytest.approx(75.0 / lens.fx)  # 60 and 45 pixels from the middle
+    assert angle == pytest.approx(37.5 / lens.fx)  # 30 and 22.5 pixels from the middle
 
 
 def stage_of(scene) -> Stage:

@@ -30,7 +30,7 @@ def card(name: str, height: float, half: float) -> bpy.types.Object:
 @pytest.fixture
 def scene() -> bpy.types.Scene:
     """A wide floor at 0 and a card at 2 that fills the picture of a camera at 5."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     card("floor", 0.0, 50.0)
     card("card", 2.0, 10.0)

@@ -25,7 +25,7 @@ def plane(name: str, height: float, collection: bpy.types.Collection) -> bpy.typ
 @pytest.fixture
 def veiled() -> tuple[bpy.types.Scene, bpy.types.Object, bpy.types.Collection]:
     """A floor at 0, and a veil at 1 in a collection within another one."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     around, within = bpy.data.collections.new("around"), bpy.data.collections.new("within")
     scene.collection.children.link(around)

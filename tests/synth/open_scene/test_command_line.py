@@ -82,16 +82,9 @@ class TestCommandLine:
 
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
         command = [sys.executable, ROOT / "synth/make_scene.py", "--", "--from-file", tmp_path / "room.blend"]
-        command += [
-            "--out",
-            tmp_path / "d",
-            "--progress-json",
-            *ARGUMENTS,
-            "--resolution",
-            "112",
-            "--samples",
-            "64",
-        ]
+        command += ["--out", tmp_path / "d", "--progress-json", *ARGUMENTS]
+        command += ["--resolution", "112", "--samples", "32"]
+        command += ["--views", "4", "--lit-views", "0", "--relit-views", "0"]
         running = subprocess.Popen(
             list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

@@ -32,6 +32,38 @@ ARGUMENTS = [
 ]
 
 
+def opened():
+    """A cube on a plane, world, sun and lamp, a camera whose render is 16:9; not as our settings are."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    grey = bpy.data.materials.new("grey")
+    floor = [(-6, -6, 0), (6, -6, 0), (6, 6, 0), (-6, 6, 0)]
+    add("floor", mesh("floor", floor, [(0, 1, 2, 3)], grey))
+    cube = [(x, y, z) for z in (0, 1) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+    faces = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    add("cube", mesh("cube", cube, faces, grey))
+    scene.world = bpy.data.worlds.new("sky")
+    background().inputs["Color"].default_value = (0.3, 0.5, 1.0, 1.0)
+    background().inputs["Strength"].default_value = 0.5
+    light("sun", "SUN", 2.0, (0, 0, 5))
+    light("lamp", "POINT", 60.0, (1.5, -1.5, 1.5))
+    scene.camera = add("mine", bpy.data.cameras.new("mine"), CAMERA, (PITCH, 0, 0))
+    scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
+    scene.render.engine = "BLENDER_EEVEE"
+    scene.view_settings.exposure = 1.5
+    scene.cycles.samples = 333
+    scene.cycles.max_bounces = 9
+    return scene
+
+
+def saved(path):
+    """The same in a file."""
+    opened()
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return path
+
+
 def add(name, data, location=(0, 0, 0), rotation=(0, 0, 0)):
     item = bpy.data.objects.new(name, data)
     item.location, item.rotation_euler = location, rotation
