@@ -25,14 +25,14 @@ test: setup ## Lint as on Linux, and the tests of both sides of the house, but f
 test-long: setup ## What takes long: several trainings, lint as on Windows and macOS, the installed wheel, short fuzz and torture
 	@$(PYTHON) tools/run_tests.py --long
 	@$(BACKEND) tools/try_wheel.py
-	@$(BACKEND) tools/fuzz.py --short
-	@$(BACKEND) tools/torture.py --short
+	@$(BACKEND) tests/stress/fuzz.py --short
+	@$(BACKEND) tests/stress/torture.py --short
 
 fuzz: setup ## Bad inputs for every reader, for messages and a running server; WITH="--seed 5" and other options
-	@$(BACKEND) tools/fuzz.py $(WITH)
+	@$(BACKEND) tests/stress/fuzz.py $(WITH)
 
 torture: setup ## Kills, full disks, two of everything at once, long use (hours); WITH="--only soak" and other options
-	@$(BACKEND) tools/torture.py $(WITH)
+	@$(BACKEND) tests/stress/torture.py $(WITH)
 
 benchmark: setup ## Speed of the kernels against their alternatives, in one run; WITH="--quick" and other options
 	@$(BACKEND) benchmarks/run.py $(WITH)

@@ -20,18 +20,18 @@ def _module(name: str) -> ModuleType:
     return module
 
 
-_fuzzing = _module("fuzzing")
+_fuzzing = _module("stress/damage")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--as-on-windows", action="store_true", help="files as on Windows (tests/windows_semantics.py)"
+        "--as-on-windows", action="store_true", help="files as on Windows (tests/stress/windows_semantics.py)"
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--as-on-windows"):
-        config.pluginmanager.register(_module("windows_semantics").Plugin())
+        config.pluginmanager.register(_module("stress/windows_semantics").Plugin())
 
 
 #: Seconds that a read may take where a reader that opens a FIFO would wait for ever.
@@ -40,7 +40,7 @@ PATIENCE = 20
 
 @pytest.fixture(scope="session")
 def fuzzing() -> ModuleType:
-    """``tests/fuzzing.py``: ``mutations``, ``json_mutations`` and the values that they put in."""
+    """``tests/stress/damage.py``: ``mutations``, ``json_mutations`` and the values that they put in."""
     return _fuzzing
 
 

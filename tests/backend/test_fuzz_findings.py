@@ -33,7 +33,7 @@ LARGEST = 50_000
 def told() -> dict[str, str]:
     """What the tool says of each case: one process tries them all, for any of them may kill it."""
     done = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "fuzz.py"), "--replay", *map(str, FINDINGS)],
+        [sys.executable, str(ROOT / "tests" / "stress" / "fuzz.py"), "--replay", *map(str, FINDINGS)],
         capture_output=True,
         text=True,
         env=os.environ | {"OMP_NUM_THREADS": "1"},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""tools/torture.py's oracles find what is wrong: each is shown something broken, and the same thing whole."""
+"""The oracles of tests/stress/torture.py find what is wrong: each is shown something broken, and it whole."""
 
 import os
 import signal
@@ -13,14 +13,14 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-TOOLS = Path(__file__).resolve().parents[3] / "tools"
+STRESS = Path(__file__).resolve().parents[2] / "stress"
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="process groups are POSIX's")
 
 
 @pytest.fixture(autouse=True)
 def tools(monkeypatch):
-    monkeypatch.syspath_prepend(TOOLS)
+    monkeypatch.syspath_prepend(STRESS)
 
 
 def write_checkpoint(path: Path, value: float = 1.0, seconds: str = "1.0", iteration: str = "10") -> Path:
@@ -178,7 +178,7 @@ def test_what_was_started_ends_with_a_torture_that_is_killed(tmp_path):
     script = f"""
         import sys, time
         from pathlib import Path
-        sys.path.insert(0, {str(TOOLS)!r})
+        sys.path.insert(0, {str(STRESS)!r})
         from torture_attacks.processes import Program
         print(Program(["sleep", "60"], Path({str(tmp_path / "log")!r})).pid, flush=True)
         time.sleep(60)

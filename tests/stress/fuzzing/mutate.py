@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bad files from whole ones: bytes as ``tests/fuzzing.py`` damages them, and damage that a format's own
+"""Bad files from whole ones: bytes as ``damage.py`` damages them, and damage that a format's own
 checks (a CRC, a length, JSON's grammar) would hide, done where they are right again.
 
 Case ``number`` of a seed is the same on every machine, whichever cases were made before it.
@@ -23,7 +23,7 @@ from typing import Any
 from .cases import Case, Form, Target
 from .stretch import stretched
 
-_TESTS = Path(__file__).resolve().parents[2] / "tests"
+_TESTS = Path(__file__).resolve().parents[2]
 
 
 def tests_module(path: str) -> Any:
@@ -45,7 +45,7 @@ def once(folder: Path, make: Callable[[Path], Any]) -> None:
         shutil.rmtree(work)
 
 
-damage = tests_module("fuzzing.py")
+damage = tests_module("stress/damage.py")
 
 #: Shares of cases in which there is no file, or something else than a file.
 ODD_FORMS: tuple[Form, ...] = ("gone", "folder", "fifo", "loop")

@@ -32,7 +32,7 @@ from typing import Any
 import filelock
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 OURS = tuple(f"{ROOT / room}{os.sep}" for room in ("addon", "backend", "bridge", "lab", "synth"))
 #: Whose frames are passed over when it is asked who calls.
 LIBRARY = (sysconfig.get_path("stdlib") + os.sep, "<frozen ", __file__)
@@ -62,7 +62,7 @@ def is_ours() -> bool:
 
 def refused(code: int, path: object, winerror: int) -> OSError:
     error = OSError(code, os.strerror(code), str(path))
-    error.winerror = winerror  # what Windows' own errors have, for who looks at it
+    vars(error)["winerror"] = winerror  # what Windows' own errors have, for who looks at it
     return error
 
 

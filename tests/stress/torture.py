@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kills, starves, doubles and wears out PhysHDR, and says what came of it.
 
-    .venvs/backend/bin/python tools/torture.py                     all of it: many hours of two cores
-    .venvs/backend/bin/python tools/torture.py --short             each attack a little: minutes
-    .venvs/backend/bin/python tools/torture.py --only 'kill-*' --trainings 10 --kills 10
-    .venvs/backend/bin/python tools/torture.py --only soak --soak-seconds 3600
+    .venvs/backend/bin/python tests/stress/torture.py                     all of it: many hours of two cores
+    .venvs/backend/bin/python tests/stress/torture.py --short             each attack a little: minutes
+    .venvs/backend/bin/python tests/stress/torture.py --only 'kill-*' --trainings 10 --kills 10
+    .venvs/backend/bin/python tests/stress/torture.py --only soak --soak-seconds 3600
 
 Every attack has an oracle: what was killed is done again and must come out as if nothing had happened, bit
 for bit; what was refused must say so in one message with a remedy; what was used for long must have given

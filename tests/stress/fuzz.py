@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bad inputs for everything that reads: each must be refused in one clear sentence, or be understood.
 
-    python tools/fuzz.py                            everything: about ten thousand files, 120,000 messages
-    python tools/fuzz.py --short                    a few seconds of each, for make test-long
-    python tools/fuzz.py --only "PLY" --cases 500   rows whose name has that text
-    python tools/fuzz.py --replay FILE …            cases that were found before
+    python tests/stress/fuzz.py                           everything: ten thousand files, 120,000 messages
+    python tests/stress/fuzz.py --short                   a few seconds of each, for make test-long
+    python tests/stress/fuzz.py --only "PLY" --cases 500  rows whose name has that text
+    python tests/stress/fuzz.py --replay FILE …           cases that were found before
 
 A crash, a hang, an exception that is none of ours, a message that names nothing, memory that is asked for
 in vain, a bad input that is accepted: each is a finding, kept as a file under --findings. Ends with 1 where
@@ -27,7 +27,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from fuzzing.cases import Tally, Target, read_finding
 from fuzzing.workers import Order, Worker
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 FINDINGS = ROOT / "runs" / "fuzz"
 LIVE = "live server"
 #: Share of the cases, and seconds for each row, of the short form.
@@ -69,7 +69,7 @@ def main() -> int:
         again = (
             f"--replay {path}" if finding.case.form != "live" else f'--only "{LIVE}" --seed {finding.seed}'
         )
-        _say(f"  python tools/fuzz.py {again}")
+        _say(f"  python tests/stress/fuzz.py {again}")
     return 1 if findings or any(tally.broken for tally in tallies) else 0
 
 

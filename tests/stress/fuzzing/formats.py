@@ -20,7 +20,7 @@ from .files import check_model, folder_in, printable, require
 from .mutate import tests_module
 
 Attempt = Callable[[Path, str, bytes], None]
-_FIXTURES = Path(__file__).resolve().parents[2] / "tests" / "fixtures"
+_FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
 #: Gaussians in what our own writers make: few, that damage meets what describes them.
 COUNT = 6
 #: Seconds for text of megabytes in brackets in this process; users have OpenUSD in one that is ended.

@@ -37,7 +37,7 @@ DEATHS_MAX = 6
 PREPARATION = 300.0
 #: Seconds between reports of a process.
 REPORT_EVERY = 0.2
-_PACKAGE = Path(__file__).resolve().parents[2]
+_PACKAGE = Path(__file__).resolve().parents[3]
 
 
 @dataclass(frozen=True)
@@ -336,12 +336,12 @@ def _category(text: str) -> str:
 def _place(error: BaseException) -> str:
     """``BadValueError in backend/scene/points.py read_points``: the innermost of our own functions."""
     frames = traceback.extract_tb(error.__traceback__)
-    tools = str(_PACKAGE / "tools")
+    tests = str(_PACKAGE / "tests")
     ours = [
         frame
         for frame in frames
         if frame.filename.startswith(f"{_PACKAGE}/")
-        and not frame.filename.startswith(tools)
+        and not frame.filename.startswith(tests)
         and "/.venvs/" not in frame.filename
     ]
     if not ours:

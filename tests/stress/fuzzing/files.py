@@ -18,7 +18,7 @@ from .mutate import tests_module
 
 HEIGHT, WIDTH = 20, 24
 #: Gaussians as other programs write them.
-_SPLAT_FILES = Path(__file__).resolve().parents[2] / "tests" / "fixtures" / "splat_files.zip"
+_SPLAT_FILES = Path(__file__).resolve().parents[2] / "fixtures" / "splat_files.zip"
 
 
 def require(right: bool, what: str) -> None:

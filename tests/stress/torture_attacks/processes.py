@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 BIN = ROOT / ".venvs" / "backend" / "bin"
 BLENDER = ROOT / ".venvs" / "run-blender"
 #: prctl(2): the signal that a process gets when who started it is gone.

@@ -37,7 +37,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from torture_attacks.watch import BEGIN, LIVED, NETWORK, places, watched
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 # ---- the file ----------------------------------------------------------------------------------------------
 
 

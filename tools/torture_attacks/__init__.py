@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: GPL-3.0-or-later
-"""What tools/torture.py does to PhysHDR, and how it finds out whether PhysHDR bore it."""
