@@ -40,7 +40,7 @@ benchmark: setup ## Speed of the kernels against their alternatives, in one run;
 # What make report runs, each plan in a folder of its own.
 PLANS := held_out exp1 published relighting faults length ladder
 report: setup ## The comparison, faults, lengths, the paper's steps: lab/tables (days); PLANS=… LPIPS=weights.npz
-	@$(BACKEND) tools/benchmark_data.py --plans $(PLANS:%=lab/plans/%.toml)
+	@$(BACKEND) lab/tools/benchmark_data.py --plans $(PLANS:%=lab/plans/%.toml)
 	@for plan in $(PLANS); do .venvs/backend/bin/physhdr benchmark --plan lab/plans/$$plan.toml --jobs 2 \
 		--out runs/report/$$plan --report lab/tables/$$plan.md $(if $(LPIPS),--lpips-weights $(LPIPS)) || exit; done
 
@@ -61,7 +61,7 @@ web-test: setup ## Web pages in a headless Chromium, against physhdr render; ski
 	@$(BACKEND) -m pytest tests/web -rs $(WITH)
 
 formats: setup ## What each format and program makes of the demo's model, into lab/viewers.md; skips what is not there
-	@$(BACKEND) tools/formats_table.py $(WITH)
+	@$(BACKEND) lab/tools/formats_table.py $(WITH)
 
 extension: setup ## Validate and build the Blender extension and its repository: dist/physhdr-*.zip, index.json
 	@$(BACKEND) tools/build_extension.py

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Memory, start, compilation, other processors: each figure from a fresh process (``workers``)."""
+"""Memory, start, compilation: each figure from a fresh process (``workers``)."""
 
 import json
 import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -21,16 +20,6 @@ HERE = Path(__file__).parent
 PEAK_MB, WARM_SECONDS, COLD_SECONDS = 2000.0, 3.0, 25.0
 #: The first iteration is that of a picture this large; it is started so many times.
 START_SIZE, STARTS = 400, 5
-
-#: What a processor of that name has, in LLVM's words.
-_NEHALEM = ["64bit", "cmov", "crc32", "cx8", "cx16", "fxsr", "mmx", "popcnt", "sahf"]
-_NEHALEM += ["sse", "sse2", "sse3", "sse4.1", "sse4.2", "ssse3"]
-_HASWELL = ["avx", "avx2", "bmi", "bmi2", "f16c", "fma", "fsgsbase", "invpcid", "lzcnt", "movbe"]
-_HASWELL += ["pclmul", "rdrnd", "xsave", "xsaveopt"]
-FEATURES = {"nehalem": {*_NEHALEM}, "haswell": {*_NEHALEM, *_HASWELL}}
-NATIVE = "this one"
-#: What ``workers.speeds`` calls the time of compilation.
-READY = "kernels ready after, s"
 
 
 class WorkerError(Exception):
@@ -107,41 +96,3 @@ def write_data(folder: Path) -> None:
 
     folder.mkdir()
     write_tiny_scene(folder, size=START_SIZE)
-
-
-def environment_of(processor: str, cache: str) -> dict[str, str]:
-    """Variables that make Numba compile for ``processor`` (the features that this machine has as well)."""
-    if processor == NATIVE:
-        return {"NUMBA_CACHE_DIR": cache}
-    import llvmlite.binding
-
-    # The name alone would not do: Numba takes the features from the machine whatever the name is.
-    host = llvmlite.binding.get_host_cpu_features()
-    features = ",".join(
-        f"{'+' if there and feature in FEATURES[processor] else '-'}{feature}"
-        for feature, there in host.items()
-    )
-    return {"NUMBA_CACHE_DIR": cache, "NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": features}
-
-
-def processor_times(names: list[str], rounds: int = 2) -> dict[str, dict[str, float] | str]:
-    """By processor: milliseconds by work, medians of processes in turn; or why it does not run."""
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        raise WorkerError(f"{', '.join(names)} are x86 processors, this is {platform.machine()}")
-    samples: dict[str, list[dict[str, float]]] = {name: [] for name in (NATIVE, *names)}
-    failures: dict[str, str] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for _ in range(rounds):
-            for name in [name for name in samples if name not in failures]:
-                environment = environment_of(name, f"{folder}/{name}")
-                try:
-                    samples[name].append(worker("speeds", torch.get_num_threads(), environment=environment))
-                except WorkerError as error:
-                    failures[name] = str(error)
-    return {name: failures.get(name) or _medians(results) for name, results in samples.items()}
-
-
-def _medians(results: list[dict[str, float]]) -> dict[str, float]:
-    medians = {work: statistics.median(result[work] for result in results) for work in results[0]}
-    # The first process compiled the kernels, the others found them.
-    return medians | {READY: results[0][READY]}

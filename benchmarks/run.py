@@ -3,7 +3,7 @@
 
 Every figure is a median; rivals are timed in turn (one of each, again and again), so that whatever else
 the machine does meanwhile hits both. ``python benchmarks/run.py`` prints every row, ``--quick`` the quick
-ones in less than a minute; ``--growth`` and ``--processors`` measure what they say instead.
+ones in less than a minute.
 """
 
 import argparse
@@ -20,14 +20,12 @@ from typing import Any
 # torch's OpenMP threads must not spin between operations: they would take the kernels' cores.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import growth
 import torch
-from blender_rows import import_rows, view_rows
 from iteration import iteration_rows, picture_rows
 from kernel_rows import kernel_rows, rasteriser_rows
 from measure import Row
 from preview import preview_rows
-from processes import FEATURES, NATIVE, memory_rows, processor_times, start_rows
+from processes import memory_rows, start_rows
 from rich.console import Console
 from rich.table import Table
 from shares import shares
@@ -48,14 +46,10 @@ SECTIONS: dict[str, tuple[str, Callable[[bool], Iterator[Row]]]] = {
     "kernels": ("Other kernels, forward + backward", kernel_rows),
     "memory": ("Memory of a training process", memory_rows),
     "start": ("Compilation and start", start_rows),
-    "import": ("Import into Blender", import_rows),
-    "view": ("Blender's 3D view", view_rows),
 }
 SHARES = "shares"
 #: What ``--quick`` leaves out.
-SLOW = ("memory", "start", "import", "view")
-
-GROWTH_PICTURE = Path(__file__).parent.parent / "docs" / "images" / "growth.png"
+SLOW = ("memory", "start")
 
 
 def machine(threads: int) -> str:
@@ -102,24 +96,6 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
 
 
-def table_of_processors(results: dict[str, dict[str, float] | str]) -> Table:
-    """Milliseconds of the kernels as compiled for other processors, and over those for this one."""
-    native = results[NATIVE]
-    assert isinstance(native, dict), f"the kernels do not run on this machine: {native}"
-    table = Table(title="Kernels compiled for other processors", title_justify="left", width=WIDTH)
-    table.add_column("work", ratio=1)
-    for name in results:
-        table.add_column(name, justify="right")
-    for work, here in native.items():
-        cells = [_number(here)]
-        for other in [result for name, result in results.items() if name != NATIVE]:
-            cells.append(
-                f"{_number(other[work])} ({other[work] / here:.2f} ×)" if isinstance(other, dict) else "✗"
-            )
-        table.add_row(work if work.endswith(", s") else f"{work}, ms", *cells)
-    return table
-
-
 def measure_sections(options: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Every row that is asked for, printed section by section."""
     wanted = options.only or [name for name in (*SECTIONS, SHARES) if not (options.quick and name in SLOW)]
@@ -143,35 +119,10 @@ def measure_sections(options: argparse.Namespace, console: Console) -> dict[str,
     return results
 
 
-def measure_growth(picture: Path, console: Console) -> dict[str, Any]:
-    """Times against Gaussians and pixels, as a picture and as numbers."""
-    with console.status("measuring …") as status:
-        measured = growth.measure(status.update)
-    growth.plot(measured, picture)
-    slopes = growth.slopes(measured)
-    for what, slope in slopes.items():
-        console.print(f"{what}: time grows as size^{slope:.2f} between the two largest")
-    console.print(f"plotted to {picture}")
-    return {"growth": measured, "slopes": slopes}
-
-
-def measure_processors(names: list[str], console: Console) -> dict[str, Any]:
-    """Times of the kernels as compiled for other processors."""
-    with console.status("compiling and measuring, a few minutes …"):
-        results = processor_times(names)
-    console.print(table_of_processors(results))
-    for name, result in results.items():
-        if isinstance(result, str):
-            console.print(f"{name}: {result}")
-    return {"processors": results}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="leave out 200 k and what takes long")
     parser.add_argument("--only", nargs="+", choices=[*SECTIONS, SHARES], help="nothing but these sections")
-    parser.add_argument("--growth", nargs="?", type=Path, const=GROWTH_PICTURE, metavar="PNG")
-    parser.add_argument("--processors", nargs="*", choices=list(FEATURES), help="other processors (all)")
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="threads of both sides")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     options = parser.parse_args()
@@ -191,12 +142,7 @@ def main() -> None:
     words = machine(options.threads)
     console.print(f"{words}; kernels ready after {ready:.1f} s\n")
 
-    if options.growth:
-        results = measure_growth(options.growth, console)
-    elif options.processors is not None:
-        results = measure_processors(options.processors or list(FEATURES), console)
-    else:
-        results = measure_sections(options, console)
+    results = measure_sections(options, console)
     if options.json:
         options.json.write_text(json.dumps({"machine": words} | results, indent=1, ensure_ascii=False) + "\n")
 

@@ -72,31 +72,6 @@ def first_iteration(data: str, run: str) -> None:
     main(["train", data, "--out", run, "--overwrite", "--device", "cpu"])
 
 
-def speeds(threads: str) -> dict[str, float]:
-    """Milliseconds of what matters most, and the seconds until the kernels were compiled."""
-    import torch
-    from kernel_rows import draw
-    from measure import alternate
-    from synthetic import gaussians, steady_trainer
-
-    from physhdr.backend.kernels.ahead import compile_ahead
-    from physhdr.backend.rasterize import cpu
-    from physhdr.backend.train.presets import needed_by_presets
-
-    cpu.set_threads(int(threads))
-    torch.set_num_threads(int(threads))
-    start = time.perf_counter()
-    compile_ahead(needed_by_presets())
-    ready = time.perf_counter() - start
-    steps = {
-        "draw 50 k, 6 channels": draw(*gaussians(50_000, 6)),
-        "iteration, default, 50 k": steady_trainer("default", 50_000).step,
-        "iteration, paper, 50 k": steady_trainer("paper", 50_000).step,
-    }
-    times = alternate(*steps.values(), rounds=4)
-    return {"kernels ready after, s": ready} | dict(zip(steps, times, strict=True))
-
-
 def report(result: dict[str, float]) -> None:
     """One line on the standard output, past any buffer."""
     sys.stdout.write(json.dumps(result) + "\n")
@@ -104,8 +79,6 @@ def report(result: dict[str, float]) -> None:
 
 
 if __name__ == "__main__":
-    outcome = {"memory": memory, "first-iteration": first_iteration, "speeds": speeds}[sys.argv[1]](
-        *sys.argv[2:]
-    )
+    outcome = {"memory": memory, "first-iteration": first_iteration}[sys.argv[1]](*sys.argv[2:])
     if outcome is not None:
         report(outcome)

@@ -6,7 +6,7 @@
     pinhole/place_007.exr       the same without the lens' distortion, of places that are for testing
 
 Not the layout of data sets: a program that reads that would take the pictures for a pinhole's. Numpy alone,
-so that photos can be taken where there is no Blender (tools/take_photos.py).
+so that photos can be taken where there is no Blender (lab/tools/take_photos.py).
 """
 
 from dataclasses import dataclass

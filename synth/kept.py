@@ -2,8 +2,9 @@
 """True radiance that was rendered once and is kept: ``--test-truth FOLDER`` takes it instead of rendering.
 
 A folder holds ``test_003.exr``, ``val_000.exr`` …: RGB as half floats, scene-linear Rec.709, standard light,
-in whose header is what the render was (``FACTS``), its camera among it; and ``truth.json``, which tells of
-all alike: scene, size, rig, seed, samples, and how far it can be trusted. ``tools/keep_truth.py`` makes it.
+in whose header is what the render was (``FACTS``), its camera among it; and ``truth.json``, which describes
+all of them: scene, size, rig, seed, samples, and how far it can be trusted. Made by
+``lab/tools/keep_truth.py``.
 """
 
 import json

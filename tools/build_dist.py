@@ -98,8 +98,9 @@ def tracked(root: Path) -> set[str]:
 def in_wheel(names: set[str]) -> set[str]:
     """Which of ``names`` the wheel must hold, and nothing beside them."""
     in_rooms = {name for name in names if name.partition("/")[0] in ROOMS}
-    # Of the lab its code alone: plans, tables and kept truth are for checkouts.
-    code = {name for name in in_rooms if name.endswith(".py") or not name.startswith("lab/")}
+    # Of the lab its packages alone: programs, plans, tables and kept truth are for checkouts.
+    code = {name for name in in_rooms if not name.startswith("lab/") or name.endswith(".py")}
+    code = {name for name in code if not name.startswith("lab/tools/")}
     return code | {"__init__.py"} | READ
 
 

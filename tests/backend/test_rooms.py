@@ -23,6 +23,10 @@ MAY_IMPORT = {
     "lab": ("bridge", "backend"),
 }
 
+#: Programs that make the lab's data and figures, in whichever Python each needs. They belong to no package,
+#: so that nothing can import them.
+PROGRAMS = "lab/tools"
+
 #: Modules of others that are Blender's, and those that only the backend's environment has.
 OF_BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "gpu_extras", "bpy_extras", "bl_math", "blf", "imbuf"}
 OF_THE_BACKEND = {"torch", "numba", "scipy", "safetensors", "OpenEXR", "PIL", "tyro", "rich", "tensorboard"}
@@ -106,7 +110,7 @@ def module_name(path: Path, root: Path) -> str:
 def modules_in(root: Path) -> dict[str, Path]:
     """Every module of the house by its name, such as ``backend.train.trainer``."""
     paths = (path for room in MAY_IMPORT for path in sorted((root / room).rglob("*.py")))
-    return {module_name(path, root): path for path in paths}
+    return {module_name(path, root): path for path in paths if path.parent != root / PROGRAMS}
 
 
 def imports_of(name: str, path: Path, modules: dict[str, Path]) -> Iterator[Import]:

@@ -148,10 +148,10 @@ def test_every_command_is_understood(monkeypatch):
     for words in found:
         assert dataclasses.is_dataclass(_command(words[1:]))
     tools = [words[1:] for words in commands() if words[0] == ".venvs/backend/bin/python"]
-    scenes = module_of(ROOT / "tools" / "benchmark_data.py", "benchmark_data").SAMPLES
+    scenes = module_of(ROOT / "lab" / "tools" / "benchmark_data.py", "benchmark_data").SAMPLES
     for tool, *words in tools:
         assert (ROOT / tool).is_file()
-        assert tool != "tools/benchmark_data.py" or set(words) <= scenes.keys()
+        assert tool != "lab/tools/benchmark_data.py" or set(words) <= scenes.keys()
     (words,) = (words for words in found if "--plan" in words)
     plan = tomllib.loads((ROOT / words[words.index("--plan") + 1]).read_text(encoding="utf-8"))
     methods = words[words.index("--methods") + 1 : words.index("--external")]

@@ -16,7 +16,7 @@ from physhdr.synth.capture import Capture, Place, opened
 from physhdr.synth.lens import OPENCV, Lens
 from physhdr.synth.passes import Passes
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
+TOOLS = Path(__file__).resolve().parents[2] / "lab" / "tools"
 WIDTH, HEIGHT, PATCH = 80, 60, 20
 LENS = Lens(
     model=OPENCV,

@@ -21,7 +21,7 @@ from physhdr.synth.errors import ConflictError, DamagedFileError, OutputFolderEr
 from physhdr.synth.lens import OPENCV, Lens
 from physhdr.synth.stage import CameraHints
 
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "render_capture.py"
+TOOL = Path(__file__).resolve().parents[2] / "lab" / "tools" / "render_capture.py"
 LENS = Lens(
     model=OPENCV, coefficients=(-0.1, 0.02, 0.0, 0.0), width=32, height=24, fx=26.0, fy=26.0, cx=16.0, cy=12.0
 )

@@ -20,8 +20,8 @@ PASS = 8
 
 @pytest.fixture
 def tool(monkeypatch, tmp_path):
-    """tools/keep_truth.py, for tiny pictures of the ball."""
-    spec = importlib.util.spec_from_file_location("keep_truth", ROOT / "tools" / "keep_truth.py")
+    """lab/tools/keep_truth.py, for tiny pictures of the ball."""
+    spec = importlib.util.spec_from_file_location("keep_truth", ROOT / "lab" / "tools" / "keep_truth.py")
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setattr(truth, "PASS", PASS)
     spec.loader.exec_module(module)
@@ -141,7 +141,7 @@ def test_what_a_gpu_rendered_is_told(tool, tmp_path, monkeypatch):
 def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
     wanted = []
     for name in ("keep_truth", "benchmark_data"):
-        spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+        spec = importlib.util.spec_from_file_location(name, ROOT / "lab" / "tools" / f"{name}.py")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         wanted.append(module.VALIDATION_VIEWS)

@@ -145,7 +145,7 @@ def test_the_reference_is_made_of_its_chunks(tmp_path, clean):
 
 @pytest.fixture
 def kept_truth(tmp_path, clean):
-    """A data set in a/, and its truth kept in kept/ as tools/keep_truth.py does it."""
+    """A data set in a/, and its truth kept in kept/ as lab/tools/keep_truth.py does it."""
     dataset.make(tmp_path / "a", clean)
     told = json.loads((tmp_path / "a" / data_set.INFO_FILE).read_text())
     root = tmp_path / "kept"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A made-up room as a data set of any size, in seconds: what sizes and times are measured on.
 
-    .venvs/backend/bin/python benchmarks/made_up_room.py OUT --width 1600 --height 1067
+    .venvs/backend/bin/python lab/tools/made_up_room.py OUT --width 1600 --height 1067
 
 A box with furniture (boxes and balls), cast by rays: solid textures with detail down to millimetres, so that
 larger pictures show more, sharp edges, highlights that move with the camera, lamps 1,000 times as bright as
@@ -226,8 +226,8 @@ def main() -> None:
                 Image.fromarray(codes).save(given.out / split / f"r_{i}_{k}.png", compress_level=1)
                 exposures[f"{split}/r_{i}_{k}.png"] = float(seconds)
         transforms = {"camera_angle_x": FIELD_OF_VIEW, "frames": frames}
-        (given.out / f"transforms_{split}.json").write_text(json.dumps(transforms))
-        (given.out / f"exposure_{split}.json").write_text(json.dumps(exposures))
+        (given.out / f"transforms_{split}.json").write_text(json.dumps(transforms), encoding="utf-8")
+        (given.out / f"exposure_{split}.json").write_text(json.dumps(exposures), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""tools/lpips_weights.py on stand-ins of the two public files: the distances are those of plain torch."""
+"""lab/tools/lpips_weights.py on stand-ins of the two public files: the distances are those of plain torch."""
 
 import hashlib
 import importlib.util
@@ -14,7 +14,7 @@ from torch import nn
 
 from physhdr.backend.evaluate.lpips import Lpips
 
-TOOL = Path(__file__).resolve().parents[3] / "tools" / "lpips_weights.py"
+TOOL = Path(__file__).resolve().parents[3] / "lab" / "tools" / "lpips_weights.py"
 #: Ends of the slices of AlexNet that LPIPS compares, and how wide each is.
 ENDS, WIDTHS = (2, 5, 8, 10, 12), (64, 192, 384, 256, 256)
 

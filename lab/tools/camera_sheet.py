@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The picture of docs/photos.md: one view taken by the ideal camera, then with each fault of a real one.
 
-.venvs/backend/bin/python tools/camera_sheet.py data/demo --out docs/images/camera.jpg
+.venvs/backend/bin/python lab/tools/camera_sheet.py data/demo --out docs/images/camera.jpg
 """
 
 import argparse

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders what a photographer's walk through a built-in scene shows, through a lens that bends lines.
 
-    .venvs/run-blender tools/render_capture.py -- interior --out CAPTURE --places 40 --size 800x600 \\
+    .venvs/run-blender lab/tools/render_capture.py -- interior --out CAPTURE --places 40 --size 800x600 \\
         --lens opencv:-0.12,0.03,0.001,-0.0008 --samples 64
 
 It writes ``passes/place_007.exr`` a place, and of test places ``pinhole/``, the same camera without
 distortion. Interrupted, the same command goes on where it stopped; several may work at the same time.
-``tools/take_photos.py`` then makes photos of it, as often and with as many faults as wanted.
+``lab/tools/take_photos.py`` then makes photos of it, as often and with as many faults as wanted.
 """
 
 import argparse

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Gives a data set that ``physhdr prepare`` made of a rendered capture the true radiance of its test views.
 
-    .venvs/backend/bin/python tools/capture_truth.py DATA CAPTURE FOLDER
+    .venvs/backend/bin/python lab/tools/capture_truth.py DATA CAPTURE FOLDER
 
-DATA was prepared from FOLDER/photos, which ``tools/take_photos.py`` took of CAPTURE. ``DATA/test_hdr`` then
-has what ``physhdr evaluate`` compares the radiance with: the renders, bent back by the lens that was *found*,
-as the test pictures beside them were, so that both show the same thing at each pixel. Scale and colour
+DATA was prepared from FOLDER/photos, which ``take_photos.py`` took of CAPTURE. ``DATA/test_hdr`` then has
+what ``physhdr evaluate`` compares the radiance with: the renders, bent back by the lens that was *found*, as
+the test pictures beside them were, so that both show the same thing at each pixel. Scale and colour
 balance of photographs are unknown: the figure to look at is the one whose scale is aligned.
 """
 

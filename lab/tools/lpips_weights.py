@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Make the file of weights that ``--lpips-weights`` takes, from the two public ones that LPIPS is made of.
 
-    .venvs/backend/bin/python tools/lpips_weights.py --out lpips.npz --download
-    .venvs/backend/bin/python tools/lpips_weights.py --out lpips.npz --alexnet alexnet.pth --heads alex.pth
+    .venvs/backend/bin/python lab/tools/lpips_weights.py --out lpips.npz --download
+    .venvs/backend/bin/python lab/tools/lpips_weights.py --out lpips.npz --alexnet A.pth --heads H.pth
 
 AlexNet's convolutions are torchvision's (BSD-3-Clause), the linear heads LPIPS's v0.1 (BSD-2-Clause). Each is
 taken from its option; else AlexNet from torch.hub's cache, the heads from an installed package ``lpips``;

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Takes the photos of a capture that ``tools/render_capture.py`` rendered, by a camera with faults or not.
+"""Takes the photos of a capture that ``render_capture.py`` rendered, by a camera with faults or not.
 
-    .venvs/backend/bin/python tools/take_photos.py CAPTURE --out FOLDER --bracket=-4,-2,0,2,4 \\
+    .venvs/backend/bin/python lab/tools/take_photos.py CAPTURE --out FOLDER --bracket=-4,-2,0,2,4 \\
         --iso 800 --exposure-jitter 0.2 --white-balance-jitter 0.1 --vignetting 1
-    .venvs/backend/bin/python tools/take_photos.py CAPTURE --out FOLDER --auto-exposure --format dng
+    .venvs/backend/bin/python lab/tools/take_photos.py CAPTURE --out FOLDER --auto-exposure --format dng
 
 FOLDER gets ``photos/`` with EXIF, for ``physhdr prepare``; ``truth/``: ``sparse/0`` with the true lens and
 cameras (``physhdr prepare FOLDER/photos --poses FOLDER/truth``), and ``photos.json``, what each photo truly
@@ -153,7 +153,7 @@ def _places(given: argparse.Namespace, capture: Capture) -> list[Place]:
     if missing and not given.partial:
         raise DamagedFileError(
             f"'{given.capture}': {missing} of {len(capture.places)} places are not rendered yet",
-            "let tools/render_capture.py end, or give --partial",
+            "let lab/tools/render_capture.py end, or give --partial",
         )
     training = [place for place in there if not place.test][:: given.every]
     return [place for place in there if place.test or place in training]

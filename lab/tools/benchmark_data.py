@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render the data sets that methods are compared on, as far as they are not there: data/benchmark/NAME.
 
-    .venvs/backend/bin/python tools/benchmark_data.py                     the seven open scenes
-    .venvs/backend/bin/python tools/benchmark_data.py dog dog-iso1600     these alone
-    .venvs/backend/bin/python tools/benchmark_data.py --plans lab/plans/exp1.toml   what plans ask for
+    .venvs/backend/bin/python lab/tools/benchmark_data.py                     the seven open scenes
+    .venvs/backend/bin/python lab/tools/benchmark_data.py dog dog-iso1600     these alone
+    .venvs/backend/bin/python lab/tools/benchmark_data.py --plans lab/plans/exp1.toml   what plans ask for
 
 200×200, 35 poses, no lit views (SCENE-lit has them): every method trains on the same pictures. Training views
 are rendered (2 to 5 minutes of two cores a scene); the truth of test and validation views is taken from
@@ -19,7 +19,7 @@ import time
 import tomllib
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "data" / "benchmark"
 KEPT = ROOT / "lab" / "data"
 COMMON = ("--resolution", "200", "--workers", "2")
@@ -41,7 +41,7 @@ SAMPLES = {
 }
 #: Rendered only when they are named (lab/plans/README.md).
 SEALED = ("chair", "desk")
-#: Validation views of the scenes that choices are made on, as tools/keep_truth.py has them.
+#: Validation views of the scenes that choices are made on, as lab/tools/keep_truth.py has them.
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
 #: What is made without a name: the open scenes, and what lab/plans/ladder.toml asks for beside them.
 USUAL = (*(name for name in SAMPLES if name not in SEALED), "bathroom-local")
@@ -83,7 +83,7 @@ def main() -> int:
 
 def _asked_for(plans: list[Path]) -> list[str]:
     """The data sets of plans (TOML), by name, each once."""
-    scenes = [scene for plan in plans for scene in tomllib.loads(plan.read_text())["scenes"]]
+    scenes = [scene for plan in plans for scene in tomllib.loads(plan.read_text(encoding="utf-8"))["scenes"]]
     return list(dict.fromkeys(Path(scene).name for scene in scenes))
 
 

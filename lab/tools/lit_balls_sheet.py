@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The table and the picture of tools/lit_balls.py: how right CG is that a capture lights.
+"""The table and the picture of lab/tools/lit_balls.py: how right CG is that a capture lights.
 
-    .venvs/backend/bin/python tools/lit_balls_sheet.py BALLS --image docs/images/lit_balls.jpg
+    .venvs/backend/bin/python lab/tools/lit_balls_sheet.py BALLS --image docs/images/lit_balls.jpg
 
 Of each ball at each level its pixels against the truth: PSNR after the μ-law of the project's HDR comparison
 (M: the largest true value of the ball at that level), and of sRGB codes at ``EXPOSURE``. Nothing is aligned;

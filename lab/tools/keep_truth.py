@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render the test truth that is kept in lab/data, a little better with every pass.
 
-    .venvs/run-blender tools/keep_truth.py -- bear dog --passes 256 --work FOLDER
-    .venvs/run-blender tools/keep_truth.py -- bear --passes 256,1024,1024 --reference --work FOLDER
-    .venvs/run-blender tools/keep_truth.py -- chair --passes 256,1024 --device GPU --work FOLDER
+    .venvs/run-blender lab/tools/keep_truth.py -- bear dog --passes 256 --work FOLDER
+    .venvs/run-blender lab/tools/keep_truth.py -- bear --passes 256,1024,1024 --reference --work FOLDER
+    .venvs/run-blender lab/tools/keep_truth.py -- chair --passes 256,1024 --device GPU --work FOLDER
 
 A pass (synth/truth.py) has so many samples and is denoised by itself; the truth is the mean of all, weighted
 by their samples. Every test and validation view of a scene gets the first pass before any gets the second,
@@ -39,7 +39,7 @@ from physhdr.synth.response import by_name
 from physhdr.synth.stage import CameraHints
 from physhdr.synth.truth import PASS, TruthRenderer, pass_seed
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "lab" / "data"
 SIZE, VIEWS, RIG, SEED, DENOISE = (200, 200), 35, "grid", 0, True
 #: Of the scenes that choices are made on.

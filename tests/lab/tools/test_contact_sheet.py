@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""tools/contact_sheet.py on a tiny data set: what is drawn, and what it refuses."""
+"""lab/tools/contact_sheet.py on a tiny data set: what is drawn, and what it refuses."""
 
 import importlib.util
 import shutil
@@ -13,7 +13,7 @@ from PIL import Image
 
 from physhdr.backend.inspect import inspect
 
-TOOL = Path(__file__).resolve().parents[3] / "tools" / "contact_sheet.py"
+TOOL = Path(__file__).resolve().parents[3] / "lab" / "tools" / "contact_sheet.py"
 
 
 @pytest.fixture(scope="module")

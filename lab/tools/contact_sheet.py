@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A contact sheet of data sets, a row each: three exposures of a test view, relit twice, and its geometry.
 
-    .venvs/backend/bin/python tools/contact_sheet.py data/bathroom data/bear --out docs/images/scenes.jpg
+    .venvs/backend/bin/python lab/tools/contact_sheet.py data/bathroom data/bear --out docs/images/scenes.jpg
 
 The relit pictures are developed at the middle exposure, as the picture between them. Relit truth is made from
 the passes where there are any, else read from relit/.

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What each format and program makes of a model: the table in lab/viewers.md. What is missing is skipped.
 
-    python tools/formats_table.py                       the demo's run, into lab/viewers.md
-    python tools/formats_table.py --run RUN --out -     another run, printed
+    python lab/tools/formats_table.py                       the demo's run, into lab/viewers.md
+    python lab/tools/formats_table.py --run RUN --out -     another run, printed
 
 Nothing is downloaded. Programs of npm (@playcanvas/splat-transform, gltf-validator, @sparkjsdev/spark with
 three, playcanvas, @mkkellogg/gaussian-splats-3d) are those of the folder node_modules that
@@ -47,7 +47,7 @@ from physhdr.bridge.spherical_harmonics import basis, degree_of
 from physhdr.bridge.splat_files import SplatCloud, turned
 from physhdr.bridge.splat_files.usable import taken
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "lab" / "viewers.md"
 BEGIN, END = "<!-- formats: begin -->", "<!-- formats: end -->"
 MODULES = os.environ.get("PHYSHDR_NODE_MODULES")
@@ -82,7 +82,7 @@ def main() -> int:
     if not arguments.run.is_dir():
         print(f"skipped: there is no run in {arguments.run} (make demo trains one)")
         return 0
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         table = Table(arguments.run, Path(folder), arguments.views)
         for part in (table.ours, table.splat_transform, table.validators, table.gsply, table.viewers):
             part()
@@ -367,7 +367,7 @@ def wanted(name: str, package: str) -> None:
 
 
 def call(words: list[Any]) -> str:
-    done = subprocess.run([str(word) for word in words], capture_output=True, text=True)
+    done = subprocess.run([str(word) for word in words], capture_output=True, text=True, encoding="utf-8")
     if done.returncode:
         raise SystemExit(f"{' '.join(map(str, words))} failed: {(done.stderr or done.stdout)[-800:]}")
     return done.stdout

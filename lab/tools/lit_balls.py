@@ -2,13 +2,13 @@
 """A chrome and a grey ball in a built-in scene: as they look there, and as a panorama of the place lights
 them.
 
-    .venvs/run-blender tools/lit_balls.py -- photograph interior --out DATA
-    .venvs/run-blender tools/lit_balls.py -- truth interior --out BALLS
-    .venvs/run-blender tools/lit_balls.py -- lit BALLS
+    .venvs/run-blender lab/tools/lit_balls.py -- photograph interior --out DATA
+    .venvs/run-blender lab/tools/lit_balls.py -- truth interior --out BALLS
+    .venvs/run-blender lab/tools/lit_balls.py -- lit BALLS
     physhdr panorama runs/demo --at -0.1 -0.7 1.2 --out PROBE
-    .venvs/run-blender tools/lit_balls.py -- lit BALLS --model runs/demo/model.safetensors --probe PROBE \\
-        --name demo
-    .venvs/backend/bin/python tools/lit_balls_sheet.py BALLS --image docs/images/lit_balls.jpg
+    .venvs/run-blender lab/tools/lit_balls.py -- lit BALLS --model runs/demo/model.safetensors \\
+        --probe PROBE --name demo
+    .venvs/backend/bin/python lab/tools/lit_balls_sheet.py BALLS --image docs/images/lit_balls.jpg
 
 ``photograph`` makes a data set of the scene by cameras that stand all around the balls' place, for a capture
 that is made to light CG. ``truth`` renders the scene with each ball in it, and from the ball's middle the
@@ -225,7 +225,7 @@ def _keep_away_the_unseen(stage: Stage, item: bpy.types.Object) -> None:
 
 
 def lit(given: argparse.Namespace) -> None:
-    about = json.loads((given.balls / ABOUT).read_text())
+    about = json.loads((given.balls / ABOUT).read_text(encoding="utf-8"))
     if given.model:
         _render_in_capture(given, about)
         return
@@ -250,7 +250,7 @@ def _render_under(
     nodes: Any = world.node_tree.nodes
     background = next(node for node in nodes if node.type == "BACKGROUND")
     texture = nodes.new("ShaderNodeTexEnvironment")
-    texture.image = bpy.data.images.load(str((target / f"panorama_{level:g}.exr").resolve()))
+    texture.image = bpy.data.images.load(str((target / f"panorama_{level:g}.exr").absolute()))
     world.node_tree.links.new(texture.outputs[0], background.inputs["Color"])
     balls_under_world(scene, about, given.samples, target, level)
 
@@ -267,7 +267,7 @@ def _render_in_capture(given: argparse.Namespace, about: dict) -> None:
         model = model_import.import_model(str(given.model))
         bpy.context.view_layer.objects.active = model
         operators: Any = bpy.ops
-        operators.physhdr.light_from_here(folder=str(given.probe.resolve()), model=model.name)
+        operators.physhdr.light_from_here(folder=str(given.probe.absolute()), model=model.name)
         modifier = nodes.find_modifier(model)
         assert modifier is not None
         nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)
