@@ -103,7 +103,7 @@ def test_a_damaged_description_is_named(tmp_path, damage):
 
 @pytest.fixture
 def tool():
-    """tools/render_capture.py, which no package holds."""
+    """lab/tools/render_capture.py, which no package holds."""
     spec = importlib.util.spec_from_file_location("render_capture", TOOL)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
