@@ -72,8 +72,6 @@ class AnchorGrowthConfig:
     prune_opacity: float = 0.005
     #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (the paper's eq. 17), times the gradient; 0: off.
     scaling_strength: float = 0.0
-    #: s_a = s·(2σ − 1) + 1 instead, which begins at 1 where nothing deviates.
-    scaling_centred: bool = False
     #: Never more Gaussians (anchors × offsets) than this; the largest gradients come first. 0: no bound.
     budget: int = 0
 
@@ -226,8 +224,8 @@ class Anchors(Backbone):
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
         """One anchor in every cell that has a point, as large as the distance to its neighbours.
 
-        ``start.scale_factor`` multiplies that; its other fields have no meaning here: opacity is a network's,
-        whose bias is raised where a view would see nothing of the anchors.
+        ``start`` has no meaning here: opacity is a network's, whose bias is raised where a view would see
+        nothing of the anchors.
         """
         spacing = _neighbour_distance(positions)
         self.voxel_size = self.config.voxel_size
@@ -242,7 +240,7 @@ class Anchors(Backbone):
         np.add.at(sums, member.reshape(-1), log_radiance)
         order = morton_order(torch.as_tensor(anchors)).numpy()
         anchors, radiance = anchors[order], (sums / members[:, None])[order]
-        log_size = np.log(start.scale_factor * _neighbour_distance(anchors))
+        log_size = np.log(_neighbour_distance(anchors))
         count, k = len(anchors), self.config.offsets
         parameters = {
             "anchors": torch.tensor(anchors, dtype=torch.float32),

@@ -37,17 +37,13 @@ class Attributes:
 class Start:
     """How a backbone begins; lab/notebook.md says what was measured.
 
-    ``opacity`` in (0, 1); ``scale_factor``: standard deviation over the distance to the neighbours;
-    ``thickness``: how much of it across the surface that neighbours make;
-    ``largest`` ``[P]`` metres: no standard deviation is larger, None: no bound;
-    ``ambient_share``: of a single light (of several each starts with 1 / (lights + 1)).
+    ``opacity`` in (0, 1); ``thickness``: the standard deviation across the surface that the neighbours make,
+    over that along it; ``largest`` ``[P]`` metres: no standard deviation is larger, None: no bound.
     """
 
     opacity: float = 0.1
-    scale_factor: float = 1.0
     thickness: float = 1.0
     largest: np.ndarray | None = None
-    ambient_share: float = 0.5
     seed: int = 0
 
 

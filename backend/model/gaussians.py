@@ -18,6 +18,8 @@ SH_C0 = 0.28209479177387814
 #: First Gaussians are as large as the distance to so many neighbours (3DGS), and lie along the surface that
 #: a point and so many neighbours make: of fewer it follows their noise, of more it rounds corners.
 NEAREST, NEIGHBOURS = 3, 9
+#: The share that a single light begins with; of several each begins with as much as what no light turns.
+AMBIENT_SHARE = 0.5
 
 
 class Gaussians(Backbone):
@@ -78,10 +80,9 @@ class Gaussians(Backbone):
             log_radiance,
             sh_degree=wanted.sh_degree,
             opacity=start.opacity,
-            scale_factor=start.scale_factor,
             thickness=start.thickness,
             largest=start.largest,
-            ambient_share=start.ambient_share if wanted.lights else None,
+            ambient_share=AMBIENT_SHARE if wanted.lights else None,
             context_size=wanted.context_size,
             seed=start.seed,
             lights=max(wanted.lights, 1),
@@ -148,7 +149,6 @@ def initial_gaussians(
     *,
     sh_degree: int,
     opacity: float,
-    scale_factor: float,
     thickness: float = 1.0,
     ambient_share: float | None,
     context_size: int,
@@ -159,10 +159,9 @@ def initial_gaussians(
 ) -> Gaussians:
     """Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
 
-    ``positions`` ``[P, 3]`` metres, ``log_radiance`` ``[P, 3]``.
-    Standard deviation: ``scale_factor`` × the root mean square distance to the three nearest neighbours
-    (3DGS's rule with factor 1), at most ``largest`` ``[P]`` (metres); across the surface that neighbours
-    make, ``thickness`` of that (3DGS: 1, isotropic). ``ambient_share=None`` and
+    ``positions`` ``[P, 3]`` metres, ``log_radiance`` ``[P, 3]``. Standard deviation: the root mean square
+    distance to the three nearest neighbours (3DGS's rule), at most ``largest`` ``[P]`` (metres); across the
+    surface that neighbours make, ``thickness`` of that (3DGS: 1, isotropic). ``ambient_share=None`` and
     ``context_size=0`` leave those parameters out; of several ``lights`` each starts with as much as what no
     light turns, 1 / (lights + 1).
     """
@@ -175,7 +174,7 @@ def initial_gaussians(
     from scipy.spatial import KDTree  # here, because only this needs SciPy
 
     distances, near = KDTree(positions).query(positions, k=min(NEIGHBOURS + 1, count), workers=-1)
-    scales = scale_factor * np.sqrt(np.mean(distances[:, 1 : NEAREST + 1] ** 2, axis=1)).clip(1e-5)
+    scales = np.sqrt(np.mean(distances[:, 1 : NEAREST + 1] ** 2, axis=1)).clip(1e-5)
     if largest is not None:
         scales = np.minimum(scales, largest)
     log_scales = np.log(scales)[:, None].repeat(3, axis=1)

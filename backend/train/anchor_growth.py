@@ -71,8 +71,7 @@ def observe(
         screen_gradient * camera_tensors(camera, screen_gradient).half_size, dim=1
     )
     if config.scaling_strength and drawn.illumination_deviation is not None:
-        strength, centred = config.scaling_strength, config.scaling_centred
-        norm = norm * gradient_scaling(drawn.illumination_deviation, strength, centred)
+        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
     on_screen = drawn.rasterization.radii > 0
     row = splats.drawn.div(k, rounding_mode="floor")
     gaussian = splats.seen.index_select(0, row) * k + splats.drawn - row * k

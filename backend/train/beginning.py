@@ -108,10 +108,8 @@ def begin(method: Method, seen: Seen, config: TrainConfig) -> Begun:
         radiance = radiance - seen.nuisances.begin(positions, told)
     start = Start(
         opacity=config.initial_opacity,
-        scale_factor=config.initial_scale,
         thickness=config.initial_thickness if lie_on_surfaces(seen.scene, config) else 1.0,
         largest=_largest_sizes(positions, views, seen.scene, config),
-        ambient_share=config.initial_ambient_share,
         seed=config.seed,
     )
     method.backbone.place(positions, radiance, start)

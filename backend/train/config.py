@@ -46,8 +46,6 @@ SIZES = frozenset(
 LARGEST_SIZE = 4096
 #: No weight, rate or threshold is larger; a million times as large is still no infinity in float32.
 LARGEST_NUMBER = 1e9
-#: Settings in (0, 1): of a probability of 0 or 1 there is no logit.
-PROBABILITIES = ("initial_opacity", "initial_ambient_share")
 
 #: auto: as the data ask for it.
 Switch = Literal["auto", "on", "off"]
@@ -95,8 +93,6 @@ class TrainConfig:
     random_points: int = 20_000
     #: 3DGS: 0.1. Points of surfaces are opaque; less leaves time for what lies before them to hide them.
     initial_opacity: float = 0.3
-    #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
-    initial_scale: float = 1.0
     #: From exact points: the same across the surface that the neighbours make, over that along it (3DGS: 1,
     #: spheres). Neighbours that are beside their surface tell nothing of how it lies.
     initial_thickness: float = 0.3
@@ -104,8 +100,6 @@ class TrainConfig:
     #: width of any picture that it is in: one that has no neighbours would be a fog before the cameras, or
     #: all of what is behind a window. 0: no bound (3DGS).
     initial_size_limit: float = 0.1
-    #: Of a data set with one light; of several each starts with as much as what no light turns.
-    initial_ambient_share: float = 0.5
     #: Share of the training at whose start views are seen at half their width and height.
     half_size_until: float = 0.1
     #: The SH degree rises by one after this many iterations (3DGS: 1000).
@@ -130,11 +124,8 @@ class TrainConfig:
                 f"--training-exposures must be indices of a bracket, got {list(self.training_exposures)}",
                 "For example 0 2 4.",
             )
-        for name in PROBABILITIES:
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise BadValueError(f"{_flag(name)} must be between 0 and 1, got {getattr(self, name)}")
-        if not self.initial_scale > 0.0:
-            raise BadValueError(f"--initial-scale must be above 0, got {self.initial_scale}")
+        if not 0.0 < self.initial_opacity < 1.0:
+            raise BadValueError(f"--initial-opacity must be between 0 and 1, got {self.initial_opacity}")
         if not 0.0 < self.initial_thickness <= 1.0:
             raise BadValueError(
                 f"--initial-thickness must be above 0 and at most 1, got {self.initial_thickness}"

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ...bridge.errors import BadValueError
 from ..methods.base import Drawn, Method
 from ..model.gaussians import Gaussians
 from ..model.morton import morton_order
@@ -28,6 +27,10 @@ from .optimisers import Optimiser
 CLEARANCE = "clearance"
 #: A split makes two, each this much smaller (3DGS).
 SPLIT_SHRINK = 1.6
+#: Clone up to this size, split above (share of the scene's extent).
+CLONE_BELOW = 0.01
+#: What a reset lowers opacities to.
+RESET_OPACITY = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,23 +45,14 @@ class DensifyConfig:
     threshold: float = 1e-4
     #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 17); 0 switches the scaling off.
     scaling_strength: float = 0.0
-    #: s_a = s·(2σ − 1) + 1 instead, which begins at 1 where nothing deviates.
-    scaling_centred: bool = False
-    #: Clone up to this size, split above (share of the scene's extent).
-    clone_below: float = 0.01
     prune_opacity: float = 0.005
     #: Prune Gaussians larger than this share of the extent (after the first reset). 3DGS's test of their size
     #: on the screen is not here: its program clears what that reads just before.
     prune_scale: float = 0.1
     #: Iterations between opacity resets; 0: never.
     reset_every: int = 0
-    reset_opacity: float = 0.01
     #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
     budget: int = 60_000
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.reset_opacity < 1.0:
-            raise BadValueError(f"--densify.reset-opacity must be between 0 and 1, got {self.reset_opacity}")
 
 
 @dataclass
@@ -74,10 +68,9 @@ class DensifyState:
         return cls(zeros, zeros.clone())
 
 
-def gradient_scaling(deviation: torch.Tensor, strength: float, centred: bool = False) -> torch.Tensor:
-    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[N]``; ``centred``: s · (2σ − 1) + 1, from 1 on."""
-    share = deviation.sigmoid()
-    return strength * (2.0 * share - 1.0 if centred else share) + 1.0
+def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
+    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[N]``."""
+    return strength * deviation.sigmoid() + 1.0
 
 
 def observe(
@@ -91,8 +84,7 @@ def observe(
     to_ndc = camera_tensors(camera, screen_gradient).half_size
     norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
     if config.scaling_strength and drawn.illumination_deviation is not None:
-        strength, centred = config.scaling_strength, config.scaling_centred
-        norm = norm * gradient_scaling(drawn.illumination_deviation, strength, centred)
+        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
     visible = drawn.rasterization.radii > 0
     state.gradient_sum += torch.where(visible, norm, torch.zeros_like(norm))
     state.visits += visible
@@ -142,7 +134,7 @@ def densify(
         if int(grows.sum()) > room:
             kept = torch.where(grows, gradient, torch.full_like(gradient, -1.0)).topk(room).indices
             grows = torch.zeros_like(grows).index_fill_(0, kept, True)
-    splits = grows & (largest > config.clone_below * extent)
+    splits = grows & (largest > CLONE_BELOW * extent)
     oversized = torch.zeros_like(pruned)
     if config.reset_every and iteration > config.reset_every:  # what is split counts by its children's size
         size = torch.where(splits, largest / SPLIT_SHRINK, largest)
@@ -184,10 +176,10 @@ def _none_left(iteration: int, count: int, oversized: int, limit: float) -> NoGa
 
 
 @torch.no_grad()
-def reset_opacity(method: Method, optimiser: Optimiser, config: DensifyConfig) -> None:
-    """Lower every opacity to at most ``reset_opacity``; what matters grows back."""
+def reset_opacity(method: Method, optimiser: Optimiser) -> None:
+    """Lower every opacity to at most ``RESET_OPACITY``; what matters grows back."""
     logits = method.gaussians.opacity_logits
-    limit = torch.logit(torch.tensor(config.reset_opacity)).item()
+    limit = torch.logit(torch.tensor(RESET_OPACITY)).item()
     logits.clamp_(max=limit)
     optimiser.clear_moments(logits)
 
@@ -233,7 +225,7 @@ class GaussianGrowth(Growth):
                 self.method, self.optimiser, self.statistics, iteration, self.config, generator, unwanted
             )
         if reset_is_due(iteration, self.iterations, self.config):
-            reset_opacity(self.method, self.optimiser, self.config)
+            reset_opacity(self.method, self.optimiser)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         cleared = {} if self.clearance is None else {CLEARANCE: self.clearance}

@@ -4,7 +4,6 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 
@@ -44,8 +43,6 @@ class OptimiserConfig:
     #: from there on, by (rates_for / iteration)³: at full rates it would go on to learn the pictures' noise
     #: (lab/notebook.md). 0: constant, however long it is (3DGS).
     rates_for: int = 2500
-    #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
-    cosine: Literal["networks", "all"] = "networks"
 
     def __post_init__(self) -> None:
         for each in dataclasses.fields(self):
@@ -57,7 +54,7 @@ class OptimiserConfig:
         if name == "means":
             return Rate(start=self.means, final=self.means_final, shape="exponential", of_extent=True)
         start = getattr(self, name)
-        if name in ("radiance_networks", "tone_mapper") or self.cosine == "all":
+        if name in ("radiance_networks", "tone_mapper"):
             return Rate(start=start, shape="cosine")
         return Rate(start=start, falls_from=self.rates_for / iterations if self.rates_for else 1.0)
 

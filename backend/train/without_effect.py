@@ -19,10 +19,8 @@ OF_SPLATS = (
     "random_points",
     "initial_points",
     "initial_opacity",
-    "initial_scale",
     "initial_thickness",
     "initial_size_limit",
-    "initial_ambient_share",
     "half_size_until",
     "sh_degree_every",
     "schedule_for",
@@ -38,7 +36,6 @@ OF_3DGS = (
     "initial_opacity",
     "initial_thickness",
     "initial_size_limit",
-    "initial_ambient_share",
     "clear_cameras",
 )
 

@@ -138,7 +138,7 @@ def export(out, composer, modulator):
     rng = np.random.default_rng(0)
     config = PhysHDRConfig(composer=composer, modulator=modulator)
     gaussians = initial_gaussians(
-        rng.normal(size=(50, 3)), rng.normal(0, 2, (50, 3)), sh_degree=3, opacity=0.5, scale_factor=1.0,
+        rng.normal(size=(50, 3)), rng.normal(0, 2, (50, 3)), sh_degree=3, opacity=0.5,
         ambient_share=0.3 if modulator == "additive" else None, context_size=0, seed=0,
     )
     for tensor in gaussians.parameters.values():

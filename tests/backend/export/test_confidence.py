@@ -77,7 +77,6 @@ def method():
         np.log(np.array(RADIANCE))[:, None].repeat(3, axis=1),
         sh_degree=config.sh_degree,
         opacity=0.9975,
-        scale_factor=1.0,
         ambient_share=0.5,
         context_size=0,
         seed=0,

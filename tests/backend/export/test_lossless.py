@@ -32,7 +32,6 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
         rng.normal(0.0, 2.0, (40, 3)),
         sh_degree=config.sh_degree,
         opacity=0.5,
-        scale_factor=1.0,
         ambient_share=0.3 if config.has_light_share else None,
         context_size=0,
         seed=0,

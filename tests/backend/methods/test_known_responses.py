@@ -45,7 +45,6 @@ def make(preset="default", responses="known", double=False, **loss):
         rng.uniform(-1.5, 1.5, (30, 3)),
         sh_degree=config.sh_degree,
         opacity=0.6,
-        scale_factor=1.0,
         ambient_share=0.3 if getattr(config, "has_light_share", False) else None,
         context_size=config.attributes(("ambient",)).context_size,
         seed=0,

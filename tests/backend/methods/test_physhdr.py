@@ -46,7 +46,6 @@ def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient"
         rng.uniform(-1.5, 0.5, (30, 3)),
         sh_degree=config.sh_degree,
         opacity=0.6,
-        scale_factor=1.0,
         ambient_share=0.3 if config.has_light_share else None,
         context_size=4 if config.tone_mapper.local else 0,
         seed=0,

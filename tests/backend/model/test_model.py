@@ -108,7 +108,7 @@ def test_lights_switched_off_leave_something_to_take_the_logarithm_of():
 
 def test_several_lights_start_with_equal_parts():
     points, log_radiance = np.random.default_rng(0).normal(size=(2, 5, 3))
-    options = {"sh_degree": 0, "opacity": 0.5, "scale_factor": 1.0, "context_size": 0, "seed": 0}
+    options = {"sh_degree": 0, "opacity": 0.5, "context_size": 0, "seed": 0}
     for lights, expected in ((1, 0.3), (2, 1 / 3), (4, 0.2)):
         gaussians = initial_gaussians(points, log_radiance, ambient_share=0.3, lights=lights, **options)
         assert gaussians.light_share.shape == (5, lights, 3)
@@ -127,22 +127,22 @@ def test_first_gaussians_lie_along_the_surface_that_their_neighbours_make():
     ball = rng.normal(size=(2000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     for points, normals in ((plane, np.tile(normal, (400, 1))), (ball, ball)):
-        flat = initial_gaussians(points, np.zeros_like(points), scale_factor=0.7, thickness=0.25, **START)
+        flat = initial_gaussians(points, np.zeros_like(points), thickness=0.25, **START)
         thin = rotation_matrices(flat.quaternions.detach())[:, :, 2].numpy()
         cosines = np.abs((thin * normals).sum(axis=1))
         assert np.quantile(cosines, 0.05) > 0.98 and np.median(cosines) > 0.998
         nearest = np.sort(np.linalg.norm(points[:, None] - points[None], axis=2), axis=1)[:, 1:4]
-        width = 0.7 * np.sqrt((nearest**2).mean(axis=1))
+        width = np.sqrt((nearest**2).mean(axis=1))
         wanted = width[:, None] * np.array([1.0, 1.0, 0.25])
         assert flat.scales.detach().numpy() == pytest.approx(wanted, rel=1e-5)
 
 
 def test_first_gaussians_of_3dgs_are_spheres_whatever_lies_around():
     points = np.random.default_rng(0).normal(size=(5, 3))
-    round_ones = initial_gaussians(points, points, scale_factor=1.0, **START)
+    round_ones = initial_gaussians(points, points, **START)
     assert torch.equal(round_ones.quaternions, torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(5, 1))
     assert torch.equal(round_ones.log_scales, round_ones.log_scales[:, :1].repeat(1, 3))
-    flat = initial_gaussians(points[[0, 0, 1, 1]], points[:4], scale_factor=1.0, thickness=0.3, **START)
+    flat = initial_gaussians(points[[0, 0, 1, 1]], points[:4], thickness=0.3, **START)
     assert all(tensor.isfinite().all() for tensor in flat.parameters.values())  # points that coincide
 
 

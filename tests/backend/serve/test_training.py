@@ -306,7 +306,7 @@ def test_depth_is_that_of_a_single_gaussian():
         np.zeros((4, 3)),
         sh_degree=0,
         opacity=0.4,
-        scale_factor=1e-3,
+        largest=np.full(4, 0.05),
         ambient_share=0.5,
         context_size=0,
         seed=0,

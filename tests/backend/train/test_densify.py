@@ -35,7 +35,6 @@ def make(count=8):
         np.zeros((count, 3)),
         sh_degree=1,
         opacity=0.5,
-        scale_factor=1.0,
         ambient_share=0.5,
         context_size=0,
         seed=0,
@@ -49,7 +48,7 @@ def make(count=8):
 
 
 def control(method, optimiser, gradients, iteration=1, **changes):
-    config = dataclasses.replace(DensifyConfig(threshold=1.0, clone_below=0.01, budget=0), **changes)
+    config = dataclasses.replace(DensifyConfig(threshold=1.0, budget=0), **changes)
     state = DensifyState.empty(method.gaussians)
     state.gradient_sum += torch.tensor(gradients) * 3.0
     state.visits += 3.0  # the mean over visits is what counts
@@ -130,9 +129,6 @@ def test_gradient_scaling_is_equation_17():
     expected = torch.tensor([1.5, 1.0 + 1.0 / (1.0 + math.exp(-1.0)), 2.0])
     assert torch.allclose(gradient_scaling(deviation, 1.0), expected)
     assert torch.equal(gradient_scaling(deviation, 0.0), torch.ones(3))
-    # Centred it begins at 1, as 2σ(d) − 1 = tanh(d/2).
-    expected = torch.tensor([1.0, 1.0 + 0.5 * math.tanh(0.5), 1.5])
-    assert torch.allclose(gradient_scaling(deviation, 0.5, centred=True), expected)
 
 
 def test_a_views_gradient_counts_as_much_as_its_light_deviates():
@@ -146,7 +142,6 @@ def test_a_views_gradient_counts_as_much_as_its_light_deviates():
     for changes, wanted in [
         ({}, [10.0, 10.0, 10.0, 0.0]),
         ({"scaling_strength": 2.0}, [20.0, 25.0, 30.0, 0.0]),
-        ({"scaling_strength": 2.0, "scaling_centred": True}, [10.0, 20.0, 30.0, 0.0]),
     ]:
         state = DensifyState.empty(method.gaussians)
         observe(state, gradient, drawn, camera, DensifyConfig(**changes))
@@ -158,7 +153,7 @@ def test_an_opacity_reset_lowers_and_never_raises():
     method, optimiser = make()
     with torch.no_grad():
         method.gaussians.opacity_logits[0] = -9.0
-    reset_opacity(method, optimiser, DensifyConfig())
+    reset_opacity(method, optimiser)
     opacities = method.gaussians.opacities
     assert torch.allclose(opacities[1:], torch.tensor(0.01)) and opacities[0] < 0.001
     assert optimiser.adam.state[method.gaussians.opacity_logits]["exp_avg"].abs().max() == 0

@@ -19,7 +19,6 @@ REFUSED = {
     "--preset default --method.branches image-exposure": r"no lighting level[\s\S]*--method.lighting-level",
     "--preset default --method.sh-degree 4": "SH degree",
     "--preset default --optimiser.tone-mapper -1": "learning rate",
-    "--preset default --densify.reset-opacity 1": "--densify.reset-opacity",
     "--preset default-scaffold --anchors.rates.colour-final -1": "learning rate",
     "--preset paper --method.loss.blur-size 4": "odd",
     "--preset hdr-nerf-small --method.coarse-samples 2": r"coarse samples[\s\S]*3 or more",

@@ -19,7 +19,6 @@ def with_tone_mapper(config, **changes):
 
 CHANGES = {
     "--initial-opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
-    "--initial-scale": lambda c: dataclasses.replace(c, initial_scale=0.7),
     "--initial-thickness": lambda c: dataclasses.replace(c, initial_thickness=0.71),
     "--initial-size-limit": lambda c: dataclasses.replace(c, initial_size_limit=0.001),
     "--densify.threshold": lambda c: dataclasses.replace(
@@ -51,7 +50,7 @@ CASES = {
     # Nothing of this scene comes before a camera so soon: --clear-cameras is read, and finds nothing.
     "default": (tuple(set(CHANGES) - {*NOT_HERE, "--clear-cameras"}), NOT_HERE),
     "default-scaffold": (
-        ("--initial-scale", "--optimiser.tone-mapper", "--supervision", "--far-shell", "--merged-brackets"),
+        ("--optimiser.tone-mapper", "--supervision", "--far-shell", "--merged-brackets"),
         (
             *("--initial-opacity", "--initial-thickness", "--densify.threshold", "--densify.budget"),
             *("--optimiser.means-final", "--optimiser.rates-for", "--clear-cameras"),
@@ -61,7 +60,7 @@ CASES = {
         ("--densify.budget",),
         ("--optimiser.tone-mapper", "--method.tone-mapper.initial-curve"),
     ),
-    "hdr-gs": (("--initial-scale",), ("--far-shell",)),
+    "hdr-gs": (("--initial-opacity",), ("--far-shell",)),
     "hdr-nerf-small": ((), ("--supervision",)),
 }
 

@@ -45,7 +45,6 @@ def make(anchor=ANCHOR, implementation="cpu", **changes) -> GaussHDR:
         rng.uniform(-1.5, 0.5, (30, 3)),
         sh_degree=3,
         opacity=0.6,
-        scale_factor=1.0,
         ambient_share=None,
         context_size=4,
         seed=0,
