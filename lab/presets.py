@@ -1,20 +1,44 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The peers by preset: as published, and on the schedule of ``default`` (``backend/train/presets.py``)."""
+"""The paper's method and its peers by preset: as published, and on the schedule of ``default``.
+
+The published ones have their papers' 30,000 iterations in mind: rates, when growth starts, when opacities are
+reset. ``…-short`` are the same methods on what ``default`` has for its backbone and schedule, and with faster
+networks, so that a comparison at a few thousand iterations compares methods and not schedules.
+"""
 
 import dataclasses
 
-from ..backend.model.anchors import AnchorsConfig
+from ..backend.model.anchors import AnchorGrowthConfig, AnchorsConfig
 from ..backend.train.config import TrainConfig
 from ..backend.train.densify import DensifyConfig
-from ..backend.train.optimisers import STOCK_3DGS
-from ..backend.train.presets import SHORT_TRAINING, as_published, on_anchors, short
+from ..backend.train.optimisers import STOCK_3DGS, OptimiserConfig
+from ..backend.train.presets import SHORT_TRAINING, as_published, on_anchors
 from .peers.field import FieldConfig
 from .peers.gausshdr import GaussHDRConfig
 from .peers.hdr_gs import HDRGSConfig
 from .peers.hdr_nerf import HDRNeRFConfig
+from .peers.paper import PaperConfig
 
 #: 3DGS's own densification, without a budget.
 STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
+
+
+def paper(iterations: int = 30_000) -> TrainConfig:
+    """The paper's Algorithm 1 with the open points filled as in lab/paper.md.
+
+    Of photographs, too, it knows only what the paper knows.
+    """
+    return as_published(
+        iterations=iterations,
+        nuisances="off",
+        far_shell="off",
+        clear_cameras="off",
+        half_size_until=0.0,
+        sh_degree_every=1000,
+        method=PaperConfig(),
+        optimiser=STOCK_3DGS,
+        densify=dataclasses.replace(STOCK_DENSIFY, scaling_strength=1.0),
+    )
 
 
 def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> TrainConfig:
@@ -29,6 +53,19 @@ def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> T
         method=method,
         optimiser=STOCK_3DGS,
         densify=STOCK_DENSIFY,
+    )
+
+
+def short(published: TrainConfig, iterations: int = 2500, networks_times: float = 10.0) -> TrainConfig:
+    """A published method on the backbone's settings and the schedule of ``default``."""
+    ours = TrainConfig()
+    return dataclasses.replace(
+        published,
+        iterations=iterations,
+        half_size_until=ours.half_size_until,
+        sh_degree_every=ours.sh_degree_every,
+        optimiser=OptimiserConfig(networks_times=networks_times),
+        densify=dataclasses.replace(ours.densify, scaling_strength=published.densify.scaling_strength),
     )
 
 
@@ -59,10 +96,18 @@ def released_gausshdr() -> GaussHDRConfig:
     return dataclasses.replace(config, tone_mapper=dataclasses.replace(config.tone_mapper, activation="relu"))
 
 
-#: Scaffold-GS as published.
+#: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
 PUBLISHED_ANCHORS = AnchorsConfig(base_radiance=False)
+PAPER_ANCHORS = dataclasses.replace(PUBLISHED_ANCHORS, growth=AnchorGrowthConfig(scaling_strength=1.0))
+SHORT_PAPER_ANCHORS = dataclasses.replace(
+    SHORT_TRAINING, growth=dataclasses.replace(SHORT_TRAINING.growth, scaling_strength=1.0)
+)
 
 PRESETS: dict[str, TrainConfig] = {
+    "paper": paper(),
+    "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
+    "paper-short": short(paper()),
+    "paper-scaffold-short": on_anchors(short(paper()), SHORT_PAPER_ANCHORS),
     "gausshdr": on_3dgs(GaussHDRConfig()),
     "gausshdr-scaffold": on_anchors(on_3dgs(released_gausshdr()), PUBLISHED_ANCHORS),
     "hdr-gs": on_3dgs(HDRGSConfig()),

@@ -103,7 +103,7 @@ def response_words(run: Run) -> tuple[str, str]:
     method = run.method
     if not method.learns_response:
         return "sRGB (known response)", ""
-    if method.curves.config.local or method.curves.config.mix:
+    if method.curves.config.local:
         return (
             "Learned response (global)",
             "This model also has local curves, which need its networks: the page shows its global curve "

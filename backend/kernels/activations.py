@@ -56,17 +56,16 @@ def lit_colours(
     log_illumination: torch.Tensor,
     light_share: torch.Tensor | None,
     levels: Sequence[float],
-    log_deviation: bool = False,
     bounds: tuple[float, float] = LOG_RADIANCE_RANGE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """ĉ ``[N, 3]``, and |L_a − L̂_a| ``[N]``, which has no gradient.
 
     ln H_r ``[N, 3]``, ln L_a ``[N, 1 or 3]``, s ``[N, C, 3]`` and C ``levels``; without shares there is no
-    level to obey. ``log_deviation``: |ln L_a − ln L̂_a| instead. ``bounds``: of ln ĉ. Float32 on the CPU is
-    fused; anything else goes to ``lit_colours_reference``.
+    level to obey. ``bounds``: of ln ĉ. Float32 on the CPU is fused; anything else goes to
+    ``lit_colours_reference``.
     """
     tensors = [log_reflectance, log_illumination, *([] if light_share is None else [light_share])]
-    arguments = log_reflectance, log_illumination, light_share, tuple(levels), log_deviation, bounds
+    arguments = log_reflectance, log_illumination, light_share, tuple(levels), bounds
     if not can_fuse(*tensors) or log_reflectance.shape[0] < LANES:
         return lit_colours_reference(*arguments)
     return _LitColours.apply(*arguments)
@@ -95,7 +94,6 @@ def lit_colours_reference(
     log_illumination: torch.Tensor,
     light_share: torch.Tensor | None,
     levels: Sequence[float],
-    log_deviation: bool = False,
     bounds: tuple[float, float] = LOG_RADIANCE_RANGE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """``lit_colours`` in plain torch, for any dtype and device."""
@@ -103,20 +101,18 @@ def lit_colours_reference(
     if light_share is not None:
         relit = modulated_illumination(log_illumination, levels, light_share)
     with torch.no_grad():
-        deviation = illumination_deviation(log_illumination, relit, log_deviation)
+        deviation = illumination_deviation(log_illumination, relit)
     return radiance_of_logarithm(relit + log_reflectance, bounds), deviation
 
 
-def illumination_deviation(before: torch.Tensor, after: torch.Tensor, of_logarithms: bool) -> torch.Tensor:
+def illumination_deviation(before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
     """|L_a − L̂_a| ``[N]``, a mean over the channels, from ln L_a and ln L̂_a ``[N, 1 or 3]``."""
-    if not of_logarithms:
-        before, after = before.exp(), after.exp()
-    return (before - after).abs().mean(dim=1)
+    return (before.exp() - after.exp()).abs().mean(dim=1)
 
 
 class _LitColours(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, log_reflectance, log_illumination, light_share, levels, log_deviation, bounds):
+    def forward(ctx: Any, log_reflectance, log_illumination, light_share, levels, bounds):
         share, offsets = torch.empty(0), np.array([level - 1.0 for level in levels], np.float32)
         if light_share is not None and offsets.any():
             share = light_share.detach().contiguous()
@@ -130,7 +126,7 @@ class _LitColours(torch.autograd.Function):
         deviation = torch.empty(count) if offsets.size else torch.zeros(count)
         run_ranges(
             *(_colours, count, log_illumination.shape[1], *(_flat(t) for t in inputs), offsets),
-            *(log_deviation, *ctx.bounds, _flat(colours), deviation.numpy()),
+            *(*ctx.bounds, _flat(colours), deviation.numpy()),
         )
         ctx.save_for_backward(*inputs, colours)
         ctx.mark_non_differentiable(deviation)
@@ -141,7 +137,7 @@ class _LitColours(torch.autograd.Function):
     def backward(ctx: Any, *grads: Any):
         grad = grads[0]
         if grad is None:
-            return (None,) * 6
+            return (None,) * 5
         *inputs, colours = ctx.saved_tensors
         reflectance, illumination, share = inputs
         grad_reflectance, grad_illumination = torch.empty_like(reflectance), torch.empty_like(illumination)
@@ -153,7 +149,7 @@ class _LitColours(torch.autograd.Function):
         )
         if ctx.shares is not None and not ctx.offsets.size:
             grad_share = torch.zeros(ctx.shares)  # not None: Adam goes on by its moments
-        return grad_reflectance, grad_illumination, None if ctx.shares is None else grad_share, *[None] * 3
+        return grad_reflectance, grad_illumination, None if ctx.shares is None else grad_share, None, None
 
 
 def _flat(tensor: torch.Tensor) -> np.ndarray:
@@ -199,7 +195,6 @@ def _colours(
     illumination,
     share,
     offsets,
-    log_deviation,
     low,
     high,
     colours,
@@ -213,14 +208,11 @@ def _colours(
             f0 = _logarithm(1.0 + maximum(_change(share, offsets, at, 0), _LEAST_CHANGE))
             f1 = _logarithm(1.0 + maximum(_change(share, offsets, at, 1), _LEAST_CHANGE))
             f2 = _logarithm(1.0 + maximum(_change(share, offsets, at, 2), _LEAST_CHANGE))
-            if log_deviation:
-                moved = absolute(f0) + absolute(f1) + absolute(f2)
-            else:
-                moved = (
-                    absolute(exp(l0) - exp(l0 + f0))
-                    + absolute(exp(l1) - exp(l1 + f1))
-                    + absolute(exp(l2) - exp(l2 + f2))
-                )
+            moved = (
+                absolute(exp(l0) - exp(l0 + f0))
+                + absolute(exp(l1) - exp(l1 + f1))
+                + absolute(exp(l2) - exp(l2 + f2))
+            )
             store(moved * _THIRD, deviation, at)
             l0, l1, l2 = l0 + f0, l1 + f1, l2 + f2
         r0, r1, r2 = (

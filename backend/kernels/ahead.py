@@ -25,9 +25,6 @@ from .pointwise import blend, corrected, log_of_exposure
 from .ssim import SsimTarget, _ssim_rows
 from .stereo import matching_costs, semi_global
 
-#: (inputs, outputs) of the method's networks with one hidden layer: g, φ, f_mix.
-COMPOSER, MODULATOR, FUSION = (4, 3), (2, 1), (6, 3)
-
 #: The context of the local curves.
 CONTEXT = 4
 

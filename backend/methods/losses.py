@@ -2,12 +2,9 @@
 """The loss terms, each a function of images ``[3, H, W]``."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 
-from ...bridge.errors import BadValueError
-from ..kernels.blur import gaussian_blur
 from ..kernels.ssim import PixelError, SsimTarget, ssim_and_error
 
 
@@ -21,21 +18,8 @@ class LossConfig:
     pixel_weight: float = 0.7
     #: … and that of 1 − SSIM.
     dssim_weight: float = 0.3
-    #: λ2, the weight of L_cons (needs both branches).
-    consistency_weight: float = 0.0
-    #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (lab/notebook.md).
-    consistency_domain: Literal["linear", "log"] = "log"
-    #: The branch that L_cons takes as it is, so that the other alone follows; none: both move.
-    consistency_stop_gradient: Literal["none", "image-exposure", "illumination"] = "none"
-    #: The blur 𝒢 of L_cons: width in pixels (odd) and σ.
-    blur_size: int = 11
-    blur_sigma: float = 3.0
     #: λ3, the weight of L_unit; used only where the data name an anchor.
     unit_weight: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.consistency_weight and self.blur_size % 2 == 0:
-            raise BadValueError(f"the blur of L_cons must be an odd number of pixels, got {self.blur_size}")
 
 
 def reconstruction_loss(
@@ -65,20 +49,3 @@ def compared(image: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
     pixel weighs the same in every view, and growth, which reads gradients, needs to know nothing of masks.
     """
     return image if mask is None else torch.where(mask, image, 0.0)
-
-
-def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """L_cons (eq. 16): mean |𝒢(I_HDR · t) − 𝒢(Î_HDR)|.
-
-    Both branches receive a gradient, but for the one that ``consistency_stop_gradient`` names.
-    """
-    if config.consistency_stop_gradient == "image-exposure":
-        exposed = exposed.detach()
-    elif config.consistency_stop_gradient == "illumination":
-        relit = relit.detach()
-    pair = torch.cat([exposed, relit])
-    if config.consistency_domain == "log":
-        pair = pair.clamp_min(0.0).log1p()
-    blurred = gaussian_blur(pair, config.blur_size, config.blur_sigma)
-    blurred_exposed, blurred_relit = blurred.chunk(2)
-    return (blurred_exposed - blurred_relit).abs().mean()

@@ -36,28 +36,14 @@ class DrawnRadiance(Drawn):
 class PhysHDR(PhysHDRMethod[DrawnRadiance]):
     """The method with the illumination branch alone, or with the image-exposure branch alone."""
 
-    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
-        if levels is None and self.can_relight and self.config.modulator == "learned":
-            # c is never drawn. At level 1 the additive modulator is the identity, a network need not be.
-            levels = (1.0,)
-        return super().radiance_of(splats, levels)
-
     # -- training --------------------------------------------------------------------------------------
 
     def lit(self, splats: Splats, levels: tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor | None]:
         """What is drawn in training, ĉ (or c) ``[M, 3]``, and |L_a − L̂_a| ``[M]`` where light is a factor."""
-        config = self.config
-        if self.composes_by_product and (config.has_light_share or not self.can_relight):
-            share = splats.light_share if self.can_relight else None
-            of_logarithms = config.deviation_domain == "log"
-            arguments = splats.log_reflectance, splats.log_illumination, share, levels, of_logarithms
-            colours, deviation = lit_colours(*arguments, self.log_radiance_range)
-            return colours, deviation if self.can_relight else None
-        log_illumination, deviation = splats.log_illumination, None
-        if self.can_relight:
-            log_illumination = self.log_modulated_illumination(splats, levels)  # L̂_a, eq. 10
-            deviation = self.illumination_deviation(splats, log_illumination)
-        return self.composer(log_illumination, splats.log_reflectance), deviation
+        share = splats.light_share if self.can_relight else None
+        arguments = splats.log_reflectance, splats.log_illumination, share, levels
+        colours, deviation = lit_colours(*arguments, self.log_radiance_range)
+        return colours, deviation if self.can_relight else None
 
     def draw(
         self, camera: Camera, levels: tuple[float, ...], exposure: float = 1.0, watch: bool = False
@@ -108,9 +94,10 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
         Where the CPU's kernels do not compute, in one pass over all pictures.
         """
         loss, response = self.config.loss, self.tone_mapper
-        if type(self).losses is not PhysHDRMethod.losses:
+        mine, common = type(self), PhysHDRMethod
+        if mine.losses is not common.losses or mine.further_terms is not common.further_terms:
             return None  # a method that is made of this one, with terms of its own
-        if self.config.global_supervision or any(each.encoding.is_known for each in recordings):
+        if any(each.encoding.is_known for each in recordings):
             return None
         if not can_fuse(drawn.radiance):
             return {"rec": self.difference(drawn, recordings)} | self.unit_term()

@@ -12,7 +12,6 @@ from ..tables import Table
 from .base import Facts, Method, MethodConfig
 from .physhdr import PhysHDR
 from .physhdr_common import PhysHDRConfig
-from .physhdr_paper import PaperPhysHDR
 
 
 class Registered(NamedTuple):
@@ -25,12 +24,8 @@ class Registered(NamedTuple):
     make: Callable[..., Method]
 
 
-def _physhdr(config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> Method:
-    return (PaperPhysHDR if config.branches == "both" else PhysHDR)(config, backbone, facts)
-
-
 #: By the names that stand in files.
-METHODS: Table[Registered] = Table("methods", {PhysHDRConfig.name: Registered(PhysHDRConfig, _physhdr)})
+METHODS: Table[Registered] = Table("methods", {PhysHDRConfig.name: Registered(PhysHDRConfig, PhysHDR)})
 
 
 def config_named(name: str) -> type[MethodConfig]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tone mapper f = (f_tm, f_mix): exposed radiance in, LDR out (paper section 4.2, figure 3)."""
+"""The tone mapper f_tm: exposed radiance in, LDR out (paper section 4.2, figure 3)."""
 
 import math
 from abc import ABC, abstractmethod
@@ -15,7 +15,7 @@ from ..kernels.bracket import bracket_errors, can_compare_bracket, log_range
 from ..kernels.curve_table import interpolate, knots_between
 from ..kernels.local_curves import local_curves
 from ..kernels.mlp import Activation, can_tabulate, curve_knots, curve_mlp, curve_slopes
-from ..kernels.pointwise import blend, corrected, log_of_exposure
+from ..kernels.pointwise import corrected, log_of_exposure
 from ..kernels.ssim import PixelError, SsimTarget
 from ..scene.encoding import SRGB
 from .radiance import SmallNetwork
@@ -44,7 +44,7 @@ SAMPLES, SAMPLED_RANGE = 256, (-12.0, 8.0)
 
 @dataclass(frozen=True, kw_only=True)
 class ToneMapperConfig:
-    """f_tm and f_mix. The defaults are those of the preset ``default``; see docs/method.md."""
+    """f_tm. The defaults are those of the preset ``default``; see docs/method.md."""
 
     hidden: int = 64
     activation: Activation = "softplus"
@@ -60,8 +60,6 @@ class ToneMapperConfig:
     #: Local curves beside the global ones, which see a rendered context feature (GaussHDR).
     local: bool = False
     context_size: int = 4
-    #: Fuse the branches by f_mix (needs both branches).
-    mix: bool = False
     #: Adam steps on the global curves before training (the paper's lineage: 1000).
     warm_start_steps: int = 0
 
@@ -158,7 +156,7 @@ def _measured_logits(log_exposure: torch.Tensor, values: torch.Tensor) -> tuple[
 
 
 class ToneMapper(Response):
-    """Global and local response curves per colour channel, and the fusion network.
+    """Global and local response curves per colour channel.
 
     ``anchor``: (exposure × radiance, code value), or ``None`` where the data name none.
     """
@@ -188,8 +186,6 @@ class ToneMapper(Response):
             self.local_curves = nn.ModuleList(
                 SmallNetwork(1 + config.context_size, hidden, 1) for _ in range(3)
             )
-        if config.mix:
-            self.fusion = SmallNetwork(6, hidden, 3)
         self.anchor = anchor
 
     def curve_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
@@ -317,11 +313,6 @@ class ToneMapper(Response):
             ).reshape(shape)
             loc = corrected(glo, correction)
         return glo, loc
-
-    def mix(self, glo: torch.Tensor, loc: torch.Tensor) -> torch.Tensor:
-        """f_mix: fuse global and local LDR images ``[3, …, H, W]`` by a learned weight in [0, 1]."""
-        pair = torch.cat([glo, loc]).reshape(6, -1)
-        return blend(glo, loc, self.fusion(pair).reshape(glo.shape))
 
     def unit_exposure_error(self) -> torch.Tensor:
         """L_unit: mean over channels of (f(anchor's exposure) − anchor's value)² (HDR-NeRF)."""

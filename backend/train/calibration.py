@@ -66,7 +66,7 @@ def calibration_of(
 
 def _unanchored(mapper: ToneMapper) -> dict[str, torch.Tensor]:
     """The parameters of the same curves without the anchor: its shift goes into the last bias."""
-    if mapper.config.local or mapper.config.mix:
+    if mapper.config.local:
         raise DataMismatchError(
             "this run has local tone curves, which belong to its pictures and not to the camera",
             "Train by the preset default.",

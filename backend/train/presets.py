@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The presets by name: ours, the paper's method as published, and those on the schedule of ``default``.
-
-The published ones have their papers' 30,000 iterations in mind: rates, when growth starts, when opacities are
-reset. ``…-short`` are the same methods on what ``default`` has for its backbone and schedule, and with faster
-networks, so that a comparison at a few thousand iterations compares methods and not schedules.
-"""
+"""The presets by name: ours, and those that packages add, as ``lab/`` does."""
 
 import dataclasses
 import functools
@@ -18,8 +13,7 @@ from ..model.anchors import AnchorGrowthConfig, AnchorRates, AnchorsConfig
 from ..model.tone_mapper import ToneMapperConfig
 from ..tables import Table
 from .config import TrainConfig
-from .densify import DensifyConfig
-from .optimisers import STOCK_3DGS, OptimiserConfig
+from .optimisers import OptimiserConfig
 
 #: For a tenth of the iterations and less, on a CPU, where every anchor costs an evaluation of the networks:
 #: fewer anchors, and rates three times as large (lab/notebook.md has what was measured).
@@ -51,42 +45,6 @@ def as_published(**settings: Any) -> TrainConfig:
     return TrainConfig(**published | settings)
 
 
-def paper(iterations: int = 30_000) -> TrainConfig:
-    """The paper's Algorithm 1 with the open points filled as in lab/paper.md; l = t.
-
-    Of photographs, too, it knows only what the paper knows.
-    """
-    return as_published(
-        iterations=iterations,
-        nuisances="off",
-        far_shell="off",
-        clear_cameras="off",
-        half_size_until=0.0,
-        sh_degree_every=1000,
-        method=PhysHDRConfig(
-            branches="both",
-            lighting_level="exposure",
-            composer="learned",
-            modulator="learned",
-            tone_mapper=ToneMapperConfig(
-                anchored=False, initial_slope=None, local=True, mix=True, warm_start_steps=1000
-            ),
-            loss=LossConfig(
-                pixel="mse",
-                pixel_weight=0.2,
-                dssim_weight=1.0,
-                consistency_weight=0.5,
-                consistency_domain="linear",
-                unit_weight=0.5,
-            ),
-        ),
-        optimiser=STOCK_3DGS,
-        densify=DensifyConfig(
-            start=500, stop=0.5, scaling_strength=1.0, reset_every=3000, budget=0, threshold=2e-4
-        ),
-    )
-
-
 def baseline(iterations: int = 2500) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
     return as_published(
@@ -94,26 +52,11 @@ def baseline(iterations: int = 2500) -> TrainConfig:
         initial_size_limit=TrainConfig().initial_size_limit,
         poses="auto",
         method=PhysHDRConfig(
-            branches="image-exposure",
-            lighting_level="exposure",
-            composer="product",
+            illumination_branch=False,
             tone_mapper=ToneMapperConfig(anchored=False, initial_slope=None, warm_start_steps=1000),
             loss=LossConfig(unit_weight=0.5),
         ),
         optimiser=OptimiserConfig(networks_times=10.0),
-    )
-
-
-def short(published: TrainConfig, iterations: int = 2500, networks_times: float = 10.0) -> TrainConfig:
-    """A published method on the backbone's settings and the schedule of ``default``."""
-    ours = TrainConfig()
-    return dataclasses.replace(
-        published,
-        iterations=iterations,
-        half_size_until=ours.half_size_until,
-        sh_degree_every=ours.sh_degree_every,
-        optimiser=OptimiserConfig(networks_times=networks_times),
-        densify=dataclasses.replace(ours.densify, scaling_strength=published.densify.scaling_strength),
     )
 
 
@@ -141,13 +84,6 @@ def default_scaffold(iterations: int = 2500) -> TrainConfig:
     return on_anchors(config, dataclasses.replace(SHORT_TRAINING, offsets=5))
 
 
-#: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
-PUBLISHED_ANCHORS = AnchorsConfig(base_radiance=False)
-PAPER_ANCHORS = dataclasses.replace(PUBLISHED_ANCHORS, growth=AnchorGrowthConfig(scaling_strength=1.0))
-SHORT_PAPER_ANCHORS = dataclasses.replace(
-    SHORT_TRAINING, growth=dataclasses.replace(SHORT_TRAINING.growth, scaling_strength=1.0)
-)
-
 #: The presets by name, and those of packages. They differ in config fields only.
 PRESETS: Table[TrainConfig] = Table(
     "presets",
@@ -155,13 +91,9 @@ PRESETS: Table[TrainConfig] = Table(
         "default": TrainConfig(),
         "fast": fast(),
         "high": high(),
-        "paper": paper(),
         "baseline": baseline(),
         "default-scaffold": default_scaffold(),
-        "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
         "baseline-scaffold": on_anchors(baseline(), SHORT_TRAINING),
-        "paper-short": short(paper()),
-        "paper-scaffold-short": on_anchors(short(paper()), SHORT_PAPER_ANCHORS),
     },
 )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Published methods that ours is compared with, by the names that stand in files."""
+"""Published methods, the paper's own among them, by the names that stand in files."""
 
 from ...backend.methods.base import Facts
 from ...backend.methods.registry import Registered
@@ -7,6 +7,7 @@ from ...backend.model.backbone import Backbone
 from .gausshdr import GaussHDR, GaussHDRConfig
 from .hdr_gs import HDRGS, HDRGSConfig
 from .hdr_nerf import HDRNeRF, HDRNeRFConfig
+from .paper import PaperConfig, new_paper
 
 
 def _hdr_nerf(config: HDRNeRFConfig, _: Backbone, facts: Facts) -> HDRNeRF:
@@ -14,6 +15,7 @@ def _hdr_nerf(config: HDRNeRFConfig, _: Backbone, facts: Facts) -> HDRNeRF:
 
 
 METHODS = {
+    PaperConfig.name: Registered(PaperConfig, new_paper),
     GaussHDRConfig.name: Registered(GaussHDRConfig, GaussHDR),
     HDRGSConfig.name: Registered(HDRGSConfig, HDRGS),
     HDRNeRFConfig.name: Registered(HDRNeRFConfig, _hdr_nerf),

@@ -16,6 +16,7 @@ from typing import ClassVar
 import torch
 from torch import nn
 
+from ...backend.kernels.activations import DARKEST
 from ...backend.kernels.ahead import Needs
 from ...backend.kernels.local_curves import local_curves
 from ...backend.kernels.plain import can_fuse
@@ -24,7 +25,7 @@ from ...backend.kernels.ssim import SsimTarget, ssim_and_error, ssim_map
 from ...backend.methods.base import Batch, Drawn, Facts, MethodConfig, Outcome, Traits, UnlitMethod
 from ...backend.methods.losses import compared
 from ...backend.model.backbone import Attributes, Backbone, Splats
-from ...backend.model.radiance import DARKEST, SmallNetwork
+from ...backend.model.radiance import SmallNetwork
 from ...backend.model.rates import Rate
 from ...backend.model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
 from ...backend.rasterize import Rasterization
@@ -69,10 +70,10 @@ class GaussHDRConfig(MethodConfig):
     global_until: float = 0.0
 
     def __post_init__(self) -> None:
-        if not self.tone_mapper.local or self.tone_mapper.mix:
+        if not self.tone_mapper.local:
             raise BadValueError(
-                "GaussHDR has local curves and fuses by uncertainties",
-                "Leave --method.tone-mapper.local on and --method.tone-mapper.mix off.",
+                "GaussHDR has local curves",
+                "Leave --method.tone-mapper.local on.",
             )
         if not 0 <= self.sh_degree <= 3:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")

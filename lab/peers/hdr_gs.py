@@ -19,6 +19,7 @@ from typing import ClassVar, Literal
 import torch
 from torch.nn import functional
 
+from ...backend.kernels.activations import DARKEST
 from ...backend.kernels.ahead import Needs
 from ...backend.kernels.ssim import ssim_and_error
 from ...backend.methods.base import (
@@ -33,7 +34,6 @@ from ...backend.methods.base import (
 )
 from ...backend.methods.losses import compared
 from ...backend.model.backbone import Attributes, Backbone, Splats
-from ...backend.model.radiance import DARKEST
 from ...backend.model.rates import Rate
 from ...backend.model.tone_mapper import ToneMapper, ToneMapperConfig
 from ...backend.rasterize import Rasterization
@@ -74,9 +74,9 @@ class HDRGSConfig(MethodConfig):
     hdr_weight: float = 0.6
 
     def __post_init__(self) -> None:
-        if self.tone_mapper.local or self.tone_mapper.mix:
+        if self.tone_mapper.local:
             raise BadValueError(
-                "HDR-GS has one global curve a channel", "Leave --method.tone-mapper.local and .mix off."
+                "HDR-GS has one global curve a channel", "Leave --method.tone-mapper.local off."
             )
         if not 0 <= self.sh_degree <= 3:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")

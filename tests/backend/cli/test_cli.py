@@ -73,7 +73,7 @@ def test_the_model_file_renders_as_the_method(run):
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     with torch.no_grad():
         splats = opened.method.gaussians.splats(camera, opened.method.active_sh_degree)
-        exact = opened.config.method.composer == "product"
+        exact = opened.method.composes_by_product
         ours = opened.method.radiance_of(splats, None).numpy()
         np.testing.assert_allclose(model.radiance(directions), ours, rtol=1e-3 if exact else 0.05)
         if not opened.method.can_relight:
@@ -264,7 +264,7 @@ def test_bad_input_is_one_clear_message(tiny_data, tmp_path, capsys):
     assert "empty" in fails(capsys, "train", tmp_path / "empty", "--out", out)
     assert "'nonsense'" in fails(capsys, *train, "--preset", "nonsense")
     assert "--out" in fails(capsys, "train", tiny_data)
-    assert "f_mix" in fails(capsys, *train, "--method.tone-mapper.mix")
+    assert "f_mix" in fails(capsys, *train, "--preset", "paper", "--method.tone-mapper.no-local")
     assert "iterations" in fails(capsys, *train, "--iterations", "0")
     (tmp_path / "file").touch()
     assert "cannot write" in fails(capsys, "train", tiny_data, "--out", tmp_path / "file" / "run")

@@ -12,8 +12,8 @@ import torch
 from physhdr.backend.export.baked import network_comments, parameter_columns
 from physhdr.backend.export.blender_model import to_model
 from physhdr.backend.methods.base import Facts
-from physhdr.backend.methods.physhdr import PhysHDR
-from physhdr.backend.methods.physhdr_common import PhysHDRConfig
+from physhdr.backend.methods.physhdr_common import PhysHDRConfig, PhysHDRMethod
+from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.display import display_colour_sh
@@ -21,9 +21,12 @@ from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.gaussian_ply import read_ply, standard_columns, write_lossless_ply
 from physhdr.bridge.model_file import Model, read_model, write_model
 from physhdr.bridge.ply_model import read_ply_model
+from physhdr.lab.peers.paper import PaperConfig
 
 
-def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient",)) -> tuple[PhysHDR, Model]:
+def write(
+    path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient",)
+) -> tuple[PhysHDRMethod, Model]:
     """A method with random parameters, exported as the command does."""
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
@@ -36,11 +39,10 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
         context_size=0,
         seed=0,
         lights=len(lights),
-        illumination_channels=config.illumination_channels,
     )
     for tensor in gaussians.parameters.values():
         tensor.data += 0.2 * torch.randn_like(tensor)
-    method = PhysHDR(config, gaussians, Facts((1.0, 0.73), lights=lights))
+    method = METHODS[config.name].make(config, gaussians, Facts((1.0, 0.73), lights=lights))
     for parameter in method.parameters():
         parameter.data += 0.05 * torch.randn_like(parameter)
     model = to_model(method, np.zeros(3), (1.0, 1.0 / 3.0, 16.0), {"scene": "test"})
@@ -57,12 +59,11 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
     [
         (PhysHDRConfig(), ("ambient",)),
         (PhysHDRConfig(sh_degree=0), ("ambient",)),
-        (PhysHDRConfig(branches="image-exposure", lighting_level="exposure"), ("ambient",)),
+        (PhysHDRConfig(illumination_branch=False), ("ambient",)),
         (PhysHDRConfig(), ("ambient", "desk lamp", "screen")),
         (PhysHDRConfig(), ("pendant",)),
-        (PhysHDRConfig(illumination_channels=3), ("ambient", "desk lamp")),
     ],
-    ids=["default", "degree 0", "baseline", "three lights", "a lamp alone", "illumination in colour"],
+    ids=["default", "degree 0", "baseline", "three lights", "a lamp alone"],
 )
 def test_without_networks_in_the_radiance_it_is_the_model_file(
     tmp_path: Path, lossless: ModuleType, config: PhysHDRConfig, lights: tuple[str, ...]
@@ -135,10 +136,9 @@ def test_splat_transform_turns_the_model(tmp_path: Path, splat_transform: Callab
     np.testing.assert_allclose(found.model.radiance(there), expected.radiance(here), rtol=2e-3)
 
 
-@pytest.mark.parametrize(("composer", "modulator"), [("learned", "learned"), ("product", "learned")])
-def test_networks_in_the_radiance_need_the_model_file(tmp_path: Path, composer, modulator) -> None:
-    write(tmp_path / "a.ply", PhysHDRConfig(composer=composer, modulator=modulator))
-    with pytest.raises(BadValueError, match=rf"composer {composer}, modulator {modulator}"):
+def test_networks_in_the_radiance_need_the_model_file(tmp_path: Path) -> None:
+    write(tmp_path / "a.ply", PaperConfig())
+    with pytest.raises(BadValueError, match="composer learned, modulator learned"):
         read_ply_model(tmp_path / "a.ply")
 
 

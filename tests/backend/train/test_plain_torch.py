@@ -8,7 +8,6 @@ import torch
 
 from physhdr.backend.evaluate.metrics import psnr
 from physhdr.backend.kernels import plain_torch
-from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize import cpu
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS
@@ -39,8 +38,8 @@ def start(scene, preset, seed, iterations, implementation):
     density = dataclasses.replace(config.densify, start=10, every=20, stop=0.6, threshold=1e-4, reset_every=0)
     method = config.method
     if method.tone_mapper.warm_start_steps:  # takes longer than all the rest: begin near the true response
-        tone_mapper = ToneMapperConfig(local=method.tone_mapper.local, mix=method.tone_mapper.mix)
-        method = dataclasses.replace(method, tone_mapper=tone_mapper)
+        begun = {"anchored": True, "initial_slope": 0.6, "warm_start_steps": 0}
+        method = dataclasses.replace(method, tone_mapper=dataclasses.replace(method.tone_mapper, **begun))
     config = dataclasses.replace(
         config,
         iterations=iterations,

@@ -251,15 +251,11 @@ def test_a_name_that_stands_twice_in_a_checkpoint_is_refused(at, tiny_data, tmp_
 
 
 def test_methods_that_know_one_light_train_on_two(two_lights_data, tmp_path):
-    """They do not use the lit views; only a learned modulator that would is refused."""
+    """They do not use the lit views."""
     scene = read_scene(two_lights_data)
     for preset in ("paper", "baseline"):
         trainer = train(scene, short(preset, iterations=4), tmp_path / preset)
         assert trainer.method.lights == ("ambient",) and len(trainer.views) == 3
-    config = short("default")
-    learned = dataclasses.replace(config, method=dataclasses.replace(config.method, modulator="learned"))
-    with pytest.raises(BadValueError, match="knows one light, the data have ambient, pendant"):
-        Trainer(scene, learned)
 
 
 def test_exp1_keeps_one_exposure_for_each_view(tiny_data):

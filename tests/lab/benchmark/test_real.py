@@ -7,7 +7,6 @@ import re
 import pytest
 
 from physhdr.backend.cli import main
-from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.lab.benchmark.plan import make_plan
 from physhdr.lab.command import configuration
 
@@ -39,12 +38,12 @@ def test_a_tiny_benchmark_on_ray_from_plan_to_report(tiny_data, tmp_path, capsys
 
 def test_the_configuration_is_what_the_words_come_to(tiny_data):
     content = {"methods": ["default", "x := paper --densify.stop 0.25"], "scenes": [str(tiny_data)]}
-    content |= {"budgets": ["iterations=5"], "set": ["method.tone_mapper.mix=false"]}
+    content |= {"budgets": ["iterations=5"], "set": ["method.tone_mapper.local=true"]}
     plan = make_plan(content, tiny_data)
     config = configuration(plan, "x")
     assert config.densify.stop == 0.25
-    assert isinstance(config.method, PhysHDRConfig) and config.method.tone_mapper.mix is False
-    assert configuration(plan, "default").densify != config.densify
+    default = configuration(plan, "default")
+    assert default.densify != config.densify and default.method.tone_mapper.local is True
 
 
 @pytest.mark.parametrize(

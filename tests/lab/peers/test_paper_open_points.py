@@ -11,9 +11,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from physhdr.backend.cli import main
 from physhdr.backend.methods.base import Facts
-from physhdr.backend.methods.losses import LossConfig, consistency_loss
-from physhdr.backend.methods.physhdr_common import PhysHDRConfig
-from physhdr.backend.methods.physhdr_paper import PaperPhysHDR
 from physhdr.backend.methods.registry import new_method
 from physhdr.backend.model.anchors import AnchorsConfig
 from physhdr.backend.model.backbone import Start
@@ -27,6 +24,8 @@ from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.model_file import read_model
+from physhdr.lab.peers.paper import PaperConfig, PaperPhysHDR
+from physhdr.lab.peers.paper_losses import PaperLossConfig, consistency_loss
 
 T = 2.0
 PAPER = PRESETS["paper"].method
@@ -188,7 +187,7 @@ def test_l_cons_moves_the_branches_that_it_may(stopped):
     sign = np.sign(rows @ a @ columns.T - rows @ b @ columns.T)
     expected = rows.T @ sign @ columns / sign.size
     switch = {} if stopped == "none" else {"consistency_stop_gradient": stopped}
-    config = LossConfig(consistency_domain="linear", **switch)
+    config = PaperLossConfig(**switch)
     pair = [torch.tensor(each, dtype=torch.float32, requires_grad=True) for each in (a, b)]
     loss = consistency_loss(*pair, config)
     assert loss.item() == pytest.approx(np.abs(rows @ (a - b) @ columns.T).mean(), rel=1e-5)
@@ -231,10 +230,9 @@ def test_positions_follow_the_viewing_direction_where_they_may(switches):
 def test_settings_that_contradict_each_other_are_refused():
     with pytest.raises(BadValueError, match=r"never move[\s\S]*without '-scaffold'"):
         make(AnchorsConfig(), direction_gradient=True)
-    with pytest.raises(BadValueError, match=r"one branch alone[\s\S]*--method.branches both"):
-        PhysHDRConfig(growth_gradient="image-exposure")
-    with pytest.raises(BadValueError, match="learned composer"):
-        PhysHDRConfig(composer="learned", illumination_channels=3)
+    unmixed = dataclasses.replace(PAPER.tone_mapper, mix=False)
+    with pytest.raises(BadValueError, match=r"one branch alone[\s\S]*--method.growth-gradient"):
+        PaperConfig(illumination_branch=False, tone_mapper=unmixed, growth_gradient="image-exposure")
 
 
 # -- a training ----------------------------------------------------------------------------------------------
