@@ -58,6 +58,9 @@ FOR_COMPARISONS = (
     Preset(
         "hdr-nerf-small", "HDR-NeRF, Small", "HDR-NeRF with smaller networks and fewer samples", splats=False
     ),
+    Preset("baseline-equal", "Baseline, Equal", "The baseline with the default's start and pictures"),
+    Preset("gausshdr-equal", "GaussHDR, Equal", "GaussHDR with the default's start, and rates that suit it"),
+    Preset("paper-equal", "Paper, Equal", "The paper's method with the default's start, and such rates"),
 )
 
 PRESETS = {preset.name: preset for preset in (*IN_PANEL, *FOR_COMPARISONS)}
