@@ -47,6 +47,7 @@ LONG: tuple[dict[str, tuple], ...] = (
     {"long": (*PYTEST, "-m", "long", "tests/backend", "tests/lab")},
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--others"),
+        "long blender": (*IN_BLENDER, "-m", "long", "tests/synth", "tests/addon"),
         "long loop": (*PYTEST, "-m", "long", "tests/loop"),
     },
 )

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Small models and scenes for the Blender side's tests. They need Python with bpy 5.2 or newer."""
 
+import functools
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 
@@ -80,11 +82,48 @@ def look_at() -> Callable[..., np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def factory_settings():
-    """Blender as it comes from the factory, preferences and all."""
+def factory_settings(tmp_path_factory):
+    """Blender as it comes from the factory, preferences and all; node trees that were built once are kept."""
     bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    return bpy
+    with pytest.MonkeyPatch.context() as patch:
+        keep_trees(patch, tmp_path_factory.mktemp("trees"))
+        yield bpy
+
+
+def keep_trees(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Imports append the tree that their like has built before: one built anew takes ten times as long."""
+    import bpy
+
+    from physhdr.addon.model import radiance_tree
+    from physhdr.addon.model.nodes import MARK
+
+    build = radiance_tree.radiance_tree
+    kept: dict[tuple, tuple[str, str, str]] = {}
+
+    @functools.wraps(build)
+    def from_file(degree, levels, curve, lights):
+        key = (degree, levels, curve and curve.digest, lights)
+        path, name, mark = kept.get(key, ("", "", ""))
+        if path and not any(tree.get(MARK) == mark for tree in bpy.data.node_groups if not tree.library):
+            with bpy.data.libraries.load(path) as (_, wanted):
+                wanted.node_groups = [name]
+        tree = build(degree, levels, curve, lights)  # finds what was appended
+        if not path:
+            path = str(folder / f"{len(kept)}.blend")
+            bpy.data.libraries.write(path, {tree})
+            kept[key] = path, tree.name, tree[MARK]
+        return tree
+
+    patch.setattr(radiance_tree, "radiance_tree", from_file)
+
+
+@pytest.fixture
+def trees_built(factory_settings, monkeypatch) -> None:
+    """Imports build their node trees, and what these use."""
+    from physhdr.addon.model import radiance_tree
+
+    monkeypatch.setattr(radiance_tree, "radiance_tree", inspect.unwrap(radiance_tree.radiance_tree))
 
 
 @pytest.fixture
@@ -95,10 +134,20 @@ def scene(factory_settings):
 
 
 @pytest.fixture
-def registered(scene):
-    """The same, with the extension switched on."""
+def registered(scene, tmp_path, monkeypatch):
+    """The same, with the extension switched on, whose files are in a folder of the test's own."""
     import physhdr  # needs bpy, which not every Python has
+    from physhdr.addon import settings
 
+    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
     physhdr.register()
     yield scene
     physhdr.unregister()
+
+
+@pytest.fixture
+def extension(registered):
+    """The session of the extension, which is switched on."""
+    from physhdr.addon import runtime
+
+    return runtime.session()

@@ -12,19 +12,11 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import runtime, settings  # noqa: E402
+from physhdr.addon import runtime  # noqa: E402
 from physhdr.addon.session.state import Backend, PythonChosen  # noqa: E402
 from physhdr.addon.session.tasks import TASKS  # noqa: E402
 
 ADDON = Path(physhdr.__file__).parent / "addon"
-
-
-@pytest.fixture
-def registered(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
-    physhdr.register()
-    yield
-    physhdr.unregister()
 
 
 def started_or_drawn() -> set[str]:

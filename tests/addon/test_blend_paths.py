@@ -8,17 +8,14 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
-from physhdr.addon import blend_paths, runtime, settings  # noqa: E402
+from physhdr.addon import blend_paths, runtime  # noqa: E402
 from physhdr.addon.dataset import dataset_folder  # noqa: E402
 from physhdr.addon.paths import absolute  # noqa: E402
 
 
 @pytest.fixture
-def chosen(scene, tmp_path, monkeypatch):
+def chosen(registered, tmp_path):
     """The scene's settings; the .blend is saved in folder ``a``, beside a data set and a run."""
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
-    physhdr.register()
     for name in ("a/kitchen", "a/kitchen_run", "a/photos", "b/deep"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / os.path.basename(name)).touch()
@@ -26,8 +23,7 @@ def chosen(scene, tmp_path, monkeypatch):
     of_scene = bpy.context.scene.physhdr
     of_scene.data, of_scene.out = "//kitchen", "//kitchen_run"
     bpy.context.scene.physhdr_dataset.out = "//rendered/"
-    yield of_scene
-    physhdr.unregister()
+    return of_scene
 
 
 def save(path, **how):

@@ -161,7 +161,7 @@ def test_operator_reports_what_is_wrong_and_makes_nothing(registered, make_model
 
 
 @pytest.fixture
-def without_cycles():
+def without_cycles(trees_built):
     """Cycles is an extension, and may be switched off."""
     addon_utils.disable("cycles")
     yield
@@ -192,7 +192,7 @@ def test_what_was_imported_without_cycles_is_no_lamp_once_a_render_is_set_up(
     "broken", [(materials, "_build"), (radiance_tree, "declare_cleaning"), (radiance_tree, "draw")]
 )
 def test_what_could_not_be_built_is_not_found_by_the_next_import(
-    registered, make_model, write, monkeypatch, broken
+    trees_built, registered, make_model, write, monkeypatch, broken
 ):
     """A half of a material or a node group, marked as ours, would be every later model's."""
     path = str(write(make_model()))

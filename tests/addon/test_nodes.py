@@ -189,7 +189,7 @@ def test_saved_and_reopened_it_gives_the_same(add, tmp_path):
     nodes.set_input(modifier, nodes.EXPOSURE, 1.0)
     before, name = evaluated(target), target.name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
     target = bpy.data.objects[name]
     np.testing.assert_array_equal(evaluated(target), before)
@@ -205,7 +205,7 @@ def test_appended_or_linked_into_another_file_it_still_works(add, tmp_path, link
     nodes.set_input(modifier, nodes.level_input(lights, len(lights) - 1), 2.5)
     before, name = evaluated(target), target.name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bring = bpy.ops.wm.link if link else bpy.ops.wm.append
     bring(directory=str(tmp_path / "library.blend" / "Object"), filename=name)
     target = bpy.data.objects[name]

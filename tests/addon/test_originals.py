@@ -17,18 +17,6 @@ from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 DATA = "/data/kitchen"
 
 
-@pytest.fixture
-def registered(tmp_path, monkeypatch):
-    import physhdr
-    from physhdr.addon import settings
-
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
-    physhdr.register()
-    yield
-    physhdr.unregister()
-
-
 def link(name, data=None, collection=None):
     item = bpy.data.objects.new(name, data)
     (collection or bpy.context.scene.collection).objects.link(item)

@@ -35,9 +35,8 @@ from physhdr.bridge.model_file import write_model  # noqa: E402
 
 
 @pytest.fixture
-def elsewhere(registered, tmp_path, monkeypatch):
-    """A folder that files name; the trainer's home is a new one."""
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+def elsewhere(registered, tmp_path):
+    """A folder that files name."""
     folder = tmp_path / "elsewhere"
     for name in ("data", "photos", "out"):
         (folder / name).mkdir(parents=True)

@@ -13,7 +13,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon import plot, runtime, settings  # noqa: E402
 from physhdr.addon.panels import parts  # noqa: E402
 from physhdr.addon.panels.backend import PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready  # noqa: E402
@@ -211,18 +210,15 @@ def draw(panel, state=None):
 
 
 @pytest.fixture
-def chosen(scene, tmp_path, monkeypatch):
+def chosen(registered, tmp_path, monkeypatch):
     """The scene's settings with a data set chosen, in a Blender whose sidebar has its default width."""
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
     region = SimpleNamespace(width=WIDTH)
     monkeypatch.setattr(parts, "room", lambda context: region.width - parts.FRAME)
-    physhdr.register()
     folder = tmp_path / "kitchen"
     folder.mkdir()
-    scene.physhdr.data = str(folder)
+    registered.physhdr.data = str(folder)
     plot.update(History())
-    yield scene.physhdr
-    physhdr.unregister()
+    return registered.physhdr
 
 
 LIGHTS = ("ambient", "pendant lamp", "window")

@@ -10,7 +10,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, model_import, pose  # noqa: E402
 from physhdr.addon.model.look import is_model  # noqa: E402
 from physhdr.addon.model.point_removal import select_points  # noqa: E402
@@ -28,13 +27,11 @@ def model(make_model):
 
 
 @pytest.fixture
-def whole(scene, model, write):
-    physhdr.register()
+def whole(registered, model, write):
     found = model_import.import_model(write(model), name="room")
     bpy.context.view_layer.objects.active = found
     found.select_set(True)
-    yield found
-    physhdr.unregister()
+    return found
 
 
 def separated(whole):

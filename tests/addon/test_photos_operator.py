@@ -60,21 +60,14 @@ say(result={"folder": out, "train": 1, "test": 1, "placed": 2, "places": 2,
 
 
 @pytest.fixture
-def extension(tmp_path, monkeypatch):
-    """The extension with a backend that passed its check, and stands-in for the trainer; its session."""
-    import physhdr
-    from physhdr.addon import paths, runtime, settings
+def extension(registered, tmp_path, monkeypatch):
+    """The session, with a backend that passed its check, and stands-in for the trainer."""
+    from physhdr.addon import paths, runtime
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     (tmp_path / "launch.py").write_text(LAUNCHER)
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
     monkeypatch.setattr(paths, "LAUNCHER", tmp_path / "launch.py")
-    physhdr.register()
-    try:
-        runtime.session().dispatch(PythonChosen(sys.executable, REPORT))
-        yield runtime.session()
-    finally:
-        physhdr.unregister()
+    runtime.session().dispatch(PythonChosen(sys.executable, REPORT))
+    return runtime.session()
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.model import nodes  # noqa: E402
 from physhdr.addon.model.preview_look import followed, preview_look  # noqa: E402
 from physhdr.addon.settings import follow_exposure, follow_lights, preview_levels  # noqa: E402
@@ -22,10 +21,8 @@ LIGHTS = ("ambient", "pendant", "Küche")
 
 
 @pytest.fixture
-def settings(scene):
-    physhdr.register()
-    yield scene.physhdr
-    physhdr.unregister()
+def settings(registered):
+    return registered.physhdr
 
 
 def test_each_light_has_a_level_that_it_keeps(settings):
@@ -49,7 +46,7 @@ def test_levels_are_saved_with_the_scene(settings, tmp_path):
     follow_lights(settings, LIGHTS)
     settings.further_levels["pendant"].level = 0.25
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
     assert preview_levels(bpy.context.scene.physhdr, LIGHTS) == (1.0, 0.25, 1.0)
 

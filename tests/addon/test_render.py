@@ -270,7 +270,10 @@ for frame in (1, 6, 11):
 """
 
 
-@pytest.mark.parametrize(("engine", "width", "tolerance"), [("cycles", 16, 1e-3), ("eevee", 8, 0.03)])
+@pytest.mark.parametrize(
+    ("engine", "width", "tolerance"),
+    [("cycles", 16, 1e-3), pytest.param("eevee", 8, 0.03, marks=pytest.mark.long)],
+)
 def test_keyframes_play_in_a_render(make_model, write, tmp_path, engine, width, tolerance):
     """One Gaussian that fills the picture: its radiance at every frame, relit and exposed, in numbers."""
     model = dataclasses.replace(

@@ -19,15 +19,9 @@ SMALL = {"exposures": "-2 0 2", "resolution_x": 32, "samples": 1, "denoise": Fal
 
 
 @pytest.fixture
-def room(tmp_path, monkeypatch):
+def room(registered):
     """A floor, a sun and a camera that turns and moves in time."""
-    import physhdr
-    from physhdr.addon import settings
-
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
-    physhdr.register()
-    scene = bpy.context.scene
+    scene = registered
     scene.render.resolution_x, scene.render.resolution_y = 200, 100
     floor = bpy.data.meshes.new("floor")
     floor.from_pydata([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], [], [(0, 1, 2, 3)])
@@ -41,8 +35,7 @@ def room(tmp_path, monkeypatch):
     camera.location, camera.rotation_euler = (0.3, -4, 2), (1.1, 0, 0.2)
     camera.data.lens = 28.0
     bpy.context.view_layer.update()
-    yield scene
-    physhdr.unregister()
+    return scene
 
 
 def poses(folder, split):

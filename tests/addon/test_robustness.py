@@ -81,7 +81,7 @@ def test_linked_from_a_library_it_renders_and_imports_go_on(registered, make_mod
     model = make_model()
     name = add_fixed(model, write).name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
         wanted.objects = [name]
     linked = bpy.data.objects[name]
@@ -102,7 +102,7 @@ def test_appended_by_a_script_next_to_its_like_it_is_independent(registered, mak
     model = make_model()
     name = add_fixed(model, write).name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     here = add_fixed(model, write)
     with bpy.data.libraries.load(str(tmp_path / "other.blend"), link=False) as (_, wanted):
         wanted.objects = [name]

@@ -12,12 +12,9 @@ from physhdr.bridge.presets import IN_PANEL  # noqa: E402
 
 
 @pytest.fixture
-def registered(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+def registered(registered, monkeypatch):
     monkeypatch.setattr("physhdr.addon.session.session.DATASET_SECONDS", 60.0)  # however busy the machine is
-    physhdr.register()
-    yield scene.physhdr
-    physhdr.unregister()
+    return registered.physhdr
 
 
 def test_a_chosen_data_set_is_looked_at(registered, tmp_path):

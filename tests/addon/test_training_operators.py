@@ -10,8 +10,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
-from physhdr.addon import chosen_run, runtime, settings  # noqa: E402
+from physhdr.addon import chosen_run, runtime  # noqa: E402
 from physhdr.addon.chosen_run import proposed_run  # noqa: E402
 from physhdr.addon.operators import afterwards, training  # noqa: E402
 from physhdr.addon.operators.base import choices  # noqa: E402
@@ -24,18 +23,14 @@ REPORT = {"versions": {"torch": "2.13.0"}, "missing": []}
 
 
 @pytest.fixture
-def asked(scene, tmp_path, monkeypatch):
+def asked(extension, monkeypatch):
     """The requests that were sent; the backend is there and has nothing to do."""
-    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
     monkeypatch.setattr("physhdr.addon.session.session.DATASET_SECONDS", 60.0)  # however busy the machine is
     monkeypatch.setattr(chosen_run, "PROPOSAL_SECONDS", -1.0)  # the disk changes under the tests' hands
-    physhdr.register()
-    current = runtime.session()
-    current.dispatch(PythonChosen("/usr/bin/python3", REPORT))
+    extension.dispatch(PythonChosen("/usr/bin/python3", REPORT))
     sent = []
-    monkeypatch.setattr(type(current), "ask", lambda self, request: sent.append(request))
-    yield sent
-    physhdr.unregister()
+    monkeypatch.setattr(type(extension), "ask", lambda self, request: sent.append(request))
+    return sent
 
 
 @pytest.fixture

@@ -367,7 +367,7 @@ def test_textures_are_made_once_and_again_when_the_points_change(target):
     second = serial()
     assert second != first
     bpy.ops.ed.undo_push(message="test")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert not splats._runtime.held, "nothing is kept over loading a file"
 
 
