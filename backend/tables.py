@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tables that other packages add rows to: methods, presets and commands.
+"""Tables that other packages add rows to: methods, backbones, presets and commands.
 
-A package names its rows as an entry point of the group ``physhdr.methods``, ``physhdr.presets`` or
-``physhdr.commands``, which leads to a mapping. ``lab/`` does so in our own ``pyproject.toml``; a package of
-somebody else's in its own (docs/contributing/a-method.md).
+A package names its rows as an entry point of the group ``physhdr.methods``, ``physhdr.backbones``,
+``physhdr.presets`` or ``physhdr.commands``, which leads to a mapping. ``lab/`` does so in our own
+``pyproject.toml``; a package of somebody else's in its own (docs/contributing/a-method.md).
 """
 
 from collections import ChainMap

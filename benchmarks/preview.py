@@ -54,7 +54,7 @@ def write_run(data: Path, folder: Path) -> PreviewCamera:
         optimiser=STANDSTILL,
         initial_points="random",
         random_points=COUNT,
-        densify=dataclasses.replace(preset.densify, stop=0.0),
+        backbone=dataclasses.replace(preset.backbone, stop=0.0),
     )
     camera = scene.train[0].camera
     trainer = Trainer(scene, config)

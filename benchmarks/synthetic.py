@@ -169,7 +169,7 @@ def steady_trainer(preset: str, count: int, size: int = SIZE) -> Trainer:
             config,
             iterations=30_000,
             optimiser=STANDSTILL,
-            densify=dataclasses.replace(config.densify, stop=1.0, every=1 << 30, reset_every=0),
+            backbone=dataclasses.replace(config.backbone, stop=1.0, every=1 << 30, reset_every=0),
             method=dataclasses.replace(
                 config.method,
                 tone_mapper=dataclasses.replace(config.method.tone_mapper, warm_start_steps=0),

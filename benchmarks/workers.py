@@ -29,10 +29,10 @@ def memory(preset: str, threads: str) -> dict[str, float]:
     cpu.set_threads(int(threads))
     torch.set_num_threads(int(threads))
     config = PRESETS[preset]
-    densify = dataclasses.replace(config.densify, start=5, every=10, threshold=0.0, budget=200_000)
-    config = dataclasses.replace(config, iterations=20, sh_degree_every=1, densify=densify)
+    densify = dataclasses.replace(config.backbone, start=5, every=10, threshold=0.0, budget=200_000)
+    config = dataclasses.replace(config, iterations=20, sh_degree_every=1, backbone=densify)
     run = trainer(
-        dataclasses.replace(config, densify=dataclasses.replace(densify, stop=0.6)), 180_000, views=35
+        dataclasses.replace(config, backbone=dataclasses.replace(densify, stop=0.6)), 180_000, views=35
     )
     pictures = sum(view.image(k).nbytes for view in run.views for k in range(len(view.exposures)))
     with tempfile.TemporaryDirectory() as folder:

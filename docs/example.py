@@ -25,7 +25,7 @@ from physhdr.backend.scene.pictures import write_exr, write_png
 from physhdr.backend.scene.scene import Scene, View
 from physhdr.backend.start.initialise import merged_log_radiance, scene_extent
 from physhdr.backend.start.response import bracket_response, display_response
-from physhdr.backend.train.densify import DensifyConfig, GaussianGrowth
+from physhdr.backend.train.densify import GaussianGrowth, GaussiansConfig
 from physhdr.backend.train.optimisers import Optimiser, OptimiserConfig
 
 RANGE = (-12.0, 12.0)  # of ln radiance
@@ -62,7 +62,7 @@ def train(scene: Scene, iterations: int, seed: int = 0) -> PhysHDR:
     exposures = [tuple(k for k, place in enumerate(view.bracket) if place % 2 == 0) for view in views]
     method = begin(scene, exposures[: len(scene.train)])
     optimiser = Optimiser(method, OptimiserConfig(), scene_extent(scene.train), iterations)
-    growth = GaussianGrowth(method, optimiser, DensifyConfig(), iterations, seed=(seed,))
+    growth = GaussianGrowth(method, optimiser, GaussiansConfig(), iterations, seed=(seed,))
     for iteration in range(iterations):
         at = int(np.random.default_rng([seed, iteration]).integers(len(views)))
         view = views[at]

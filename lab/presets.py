@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's method and its peers by preset: as published, and on the schedule of ``default``.
+"""The paper's method, its peers and Scaffold-GS's anchors by preset: as published, and as ``default``.
 
 The published ones have their papers' 30,000 iterations in mind: rates, when growth starts, when opacities are
 reset. ``…-short`` are the same methods on what ``default`` has for its backbone and schedule, and with faster
@@ -9,11 +9,11 @@ networks, so that a comparison at a few thousand iterations compares methods and
 import dataclasses
 from typing import Any
 
-from ..backend.model.anchors import AnchorGrowthConfig, AnchorsConfig
 from ..backend.train.config import TrainConfig
-from ..backend.train.densify import DensifyConfig
+from ..backend.train.densify import GaussiansConfig
 from ..backend.train.optimisers import STOCK_3DGS, OptimiserConfig
-from ..backend.train.presets import SHORT_TRAINING, as_published, baseline, on_anchors
+from ..backend.train.presets import as_published, baseline
+from .anchors.config import AnchorRates, AnchorsConfig
 from .peers.field import FieldConfig
 from .peers.gausshdr import GaussHDRConfig
 from .peers.hdr_gs import HDRGSConfig
@@ -21,7 +21,7 @@ from .peers.hdr_nerf import HDRNeRFConfig
 from .peers.paper import PaperConfig
 
 #: 3DGS's own densification, without a budget.
-STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
+STOCK_DENSIFY = GaussiansConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
 
 
 def paper(iterations: int = 30_000) -> TrainConfig:
@@ -38,7 +38,7 @@ def paper(iterations: int = 30_000) -> TrainConfig:
         sh_degree_every=1000,
         method=PaperConfig(),
         optimiser=STOCK_3DGS,
-        densify=dataclasses.replace(STOCK_DENSIFY, scaling_strength=1.0),
+        backbone=dataclasses.replace(STOCK_DENSIFY, scaling_strength=1.0),
     )
 
 
@@ -53,7 +53,7 @@ def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> T
         sh_degree_every=1000,
         method=method,
         optimiser=STOCK_3DGS,
-        densify=STOCK_DENSIFY,
+        backbone=STOCK_DENSIFY,
     )
 
 
@@ -66,7 +66,7 @@ def short(published: TrainConfig, iterations: int = 2500, networks_times: float 
         half_size_until=ours.half_size_until,
         sh_degree_every=ours.sh_degree_every,
         optimiser=OptimiserConfig(networks_times=networks_times),
-        densify=dataclasses.replace(ours.densify, scaling_strength=published.densify.scaling_strength),
+        backbone=GaussiansConfig(scaling_strength=published.backbone.scaling_strength),
     )
 
 
@@ -104,12 +104,37 @@ def equal(config: TrainConfig, **changes: Any) -> TrainConfig:
     return dataclasses.replace(config, **start | changes)
 
 
-#: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
-PUBLISHED_ANCHORS = AnchorsConfig(base_radiance=False)
-PAPER_ANCHORS = dataclasses.replace(PUBLISHED_ANCHORS, growth=AnchorGrowthConfig(scaling_strength=1.0))
-SHORT_PAPER_ANCHORS = dataclasses.replace(
-    SHORT_TRAINING, growth=dataclasses.replace(SHORT_TRAINING.growth, scaling_strength=1.0)
+#: For a tenth of the iterations and less, on a CPU, where every anchor costs an evaluation of the networks:
+#: fewer anchors, and rates three times as large (lab/notebook.md has what was measured).
+SHORT_TRAINING = AnchorsConfig(
+    placement=32,
+    rates=AnchorRates(
+        features=0.0225,
+        log_scaling=0.014,
+        base_log_radiance=0.01,
+        opacity=0.006,
+        covariance=0.012,
+        colour=0.024,
+    ),
+    stop=0.6,
+    budget=120_000,
 )
+#: Scaffold-GS as published.
+PUBLISHED_ANCHORS = AnchorsConfig(base_radiance=False)
+
+
+def on_anchors(config: TrainConfig, anchors: AnchorsConfig = SHORT_TRAINING, **changes: Any) -> TrainConfig:
+    """The same method on Scaffold-GS's backbone, which has rates and a growth of its own."""
+    return dataclasses.replace(config, backbone=dataclasses.replace(anchors, **changes))
+
+
+def default_scaffold(iterations: int = 2500) -> TrainConfig:
+    """``default`` on anchors, whose iterations are dear: fewer Gaussians each, longer at half size.
+
+    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and cheaper (lab/notebook.md).
+    """
+    return on_anchors(TrainConfig(iterations=iterations, half_size_until=0.3), offsets=5)
+
 
 #: The Gaussians' are twice ``default``'s: of eight points the best for either method (plans/sweeps).
 EQUAL_RATES = dataclasses.replace(
@@ -122,16 +147,19 @@ EQUAL_RATES = dataclasses.replace(
 )
 
 PRESETS: dict[str, TrainConfig] = {
+    "default-scaffold": default_scaffold(),
+    "baseline-scaffold": on_anchors(baseline()),
     "paper": paper(),
-    "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
+    # With the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
+    "paper-scaffold": on_anchors(paper(), PUBLISHED_ANCHORS, scaling_strength=1.0),
     "paper-short": short(paper()),
-    "paper-scaffold-short": on_anchors(short(paper()), SHORT_PAPER_ANCHORS),
+    "paper-scaffold-short": on_anchors(short(paper()), scaling_strength=1.0),
     "gausshdr": on_3dgs(GaussHDRConfig()),
     "gausshdr-scaffold": on_anchors(on_3dgs(released_gausshdr()), PUBLISHED_ANCHORS),
     "hdr-gs": on_3dgs(HDRGSConfig()),
     "hdr-nerf": hdr_nerf(),
     "gausshdr-short": short(on_3dgs(GaussHDRConfig())),
-    "gausshdr-scaffold-short": on_anchors(short(on_3dgs(GaussHDRConfig())), SHORT_TRAINING),
+    "gausshdr-scaffold-short": on_anchors(short(on_3dgs(GaussHDRConfig()))),
     # Its response, which nothing holds, falls where it learns faster; and all start from merged brackets.
     "hdr-gs-short": short(on_3dgs(HDRGSConfig(initial_radiance="merged")), networks_times=1.0),
     "hdr-nerf-small": hdr_nerf_small(),

@@ -118,7 +118,7 @@ class Export:
         console.print(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")
 
         if not isinstance(run.method.backbone, Gaussians):
-            console.print("no lossless.ply: its columns are Gaussians', and this run has anchors")
+            console.print("no lossless.ply: this run's Gaussians are other ones for each view")
             return 0
         comments.append("phys_ columns and phys_network lines hold the model, scene-linear; keep these")
         write_lossless_ply(

@@ -166,7 +166,7 @@ class _OfModel:
 
 
 class _OfMethod:
-    """A trained method's light, of its own splats: anchors' are other ones for every picture."""
+    """A trained method's light, of its own splats, which may be other ones for every picture."""
 
     def __init__(self, method: Method) -> None:
         self._method, self.left_out = method, 0

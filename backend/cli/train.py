@@ -50,7 +50,7 @@ def preset_named(argv: list[str]) -> TrainConfig:
 
 
 def options_in(argv: list[str]) -> tuple[str, ...]:
-    """The settings that the options in ``argv`` name: ``--densify.budget 9`` is ``densify.budget``."""
+    """The settings that the options in ``argv`` name: ``--backbone.budget 9`` is ``backbone.budget``."""
     words = (word[2:].partition("=")[0] for word in argv if word.startswith("--"))
     return tuple(word.replace("-", "_") for word in words)
 

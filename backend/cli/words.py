@@ -52,7 +52,7 @@ def words_of(error: Exception, argv: Sequence[str] = ()) -> Words | None:
 
 
 #: What needs less memory in a training, after another remedy.
-_SMALLER = ", or train on smaller pictures (--downscale 2) or with fewer Gaussians (--densify.budget 20000)"
+_SMALLER = ", or train on smaller pictures (--downscale 2) or with fewer Gaussians (--backbone.budget 20000)"
 
 
 def _what_failed(error: OSError) -> str:

@@ -68,7 +68,7 @@ def tone_curve(method: Method) -> tuple[np.ndarray, np.ndarray]:
 def on_gaussians(method: Method, cameras: Sequence[Camera]) -> Method:
     """The method on the CPU and on plain Gaussians: itself where it is, else a copy.
 
-    ``cameras``: those for which anchors' Gaussians are to be right.
+    ``cameras``: those for which the Gaussians are to be right, where they are others for each view.
     """
     if method.device.type == "cpu" and isinstance(method.backbone, Gaussians):
         return method

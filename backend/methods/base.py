@@ -295,7 +295,7 @@ class Method(nn.Module, ABC):
         """The backbone where it is 3DGS's."""
         if not isinstance(self.backbone, Gaussians):
             raise BadValueError(
-                "this model is made of anchors, whose Gaussians are another set for each view",
+                "this model's Gaussians are another set for each view",
                 "Use backbone.splats(camera), or export it, which fixes them.",
             )
         return self.backbone

@@ -4,12 +4,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ...bridge.errors import BadValueError
-from ..model.anchors import Anchors, AnchorsConfig
-from ..model.backbone import Attributes, Backbone
-from ..model.gaussians import Gaussians
 from ..tables import Table
-from .base import Facts, Method, MethodConfig
+from .base import Method, MethodConfig
 from .physhdr import PhysHDR
 from .physhdr_common import PhysHDRConfig
 
@@ -26,21 +22,3 @@ class Registered(NamedTuple):
 
 #: By the names that stand in files.
 METHODS: Table[Registered] = Table("methods", {PhysHDRConfig.name: Registered(PhysHDRConfig, PhysHDR)})
-
-
-def config_named(name: str) -> type[MethodConfig]:
-    """The settings' class of a method, as ``config.json`` names it; raises ``BadValueError``."""
-    if name not in METHODS:
-        raise BadValueError(f"there is no method {name!r}", f"There are: {', '.join(METHODS)}.")
-    return METHODS[name].config
-
-
-def new_method(config: MethodConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
-    """An untrained method without primitives; raises ``BadValueError`` where it cannot be with these data."""
-    backbone = new_backbone(config.attributes(facts.lights), anchors)
-    return METHODS[config.name].make(config, backbone, facts)
-
-
-def new_backbone(attributes: Attributes, anchors: AnchorsConfig | None) -> Backbone:
-    """An empty backbone: 3DGS's, or Scaffold-GS's where ``anchors`` are configured."""
-    return Gaussians({}, attributes) if anchors is None else Anchors(anchors, attributes)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What carries a scene (3DGS's Gaussians, Scaffold-GS's anchors), and what it gives to be drawn.
+"""What carries a scene (3DGS's Gaussians, or what packages add), and what it gives to be drawn.
 
 A method asks its backbone for the splats of a view and never cares where they come from; a backbone knows
-nothing of exposures, tone mapping or losses.
+nothing of exposures, tone mapping or losses. Its settings say what others must know of it.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 import torch
@@ -67,6 +68,54 @@ class Splats:
     light_share: torch.Tensor | None = None
     context: torch.Tensor | None = None
     seen_at: torch.Tensor | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackboneConfig(ABC):
+    """What a backbone is made of and how it grows: its settings, which stand in ``config.json``.
+
+    Those that contradict each other are refused by ``__post_init__``, with ``BadValueError``.
+    """
+
+    #: What ``config.json`` calls the backbone.
+    name: ClassVar[str]
+    #: An iteration's bytes for each Gaussian: activations, gradients, what is projected.
+    splat_bytes: ClassVar[int]
+    #: Where growth has no bound, so many Gaussians come of each at the start.
+    growth_factor: ClassVar[int]
+    #: Whether each of the data set's points becomes a primitive, so that many call for a larger budget.
+    keeps_points: ClassVar[bool]
+    #: Settings of a training (``TrainConfig``) that this backbone does not read.
+    unread: ClassVar[tuple[str, ...]] = ()
+
+    #: Primitives are added and removed every so many iterations.
+    every: int = 100
+    #: Share of the training after which their number stays.
+    stop: float
+    #: τ_p: mean norm of ∂L/∂(NDC position) above which a Gaussian calls for more.
+    threshold: float
+    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 17), times the gradient; 0 switches the scaling off.
+    scaling_strength: float = 0.0
+    #: Gaussians that are more transparent than this go.
+    prune_opacity: float = 0.005
+    #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
+    budget: int
+
+    @abstractmethod
+    def stretched(self, steps: Callable[[int], int]) -> Self:
+        """The same with ``steps`` of every setting that is a number of iterations."""
+
+    @abstractmethod
+    def growing(self, iterations: int) -> tuple[int, int]:
+        """After which iteration of a training of so many it begins to grow, and at which it ends."""
+
+    @abstractmethod
+    def first_gaussians(self, points: int) -> int:
+        """How many Gaussians it begins with at so many points, about."""
+
+    @abstractmethod
+    def numbers(self, attributes: Attributes) -> float:
+        """How many numbers are learned for each Gaussian."""
 
 
 class Backbone(ABC):

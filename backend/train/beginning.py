@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from ..methods.base import Method, Responses
-from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..model.tone_mapper import Response, ToneMapper
 from ..scene.plausible import too_near
@@ -87,7 +86,7 @@ def begin(method: Method, seen: Seen, config: TrainConfig) -> Begun:
     if seen.merged is not None:
         message += f", brackets merged (noise of {seen.merged.worst:.1f} codes of 255)"
     clearance = None
-    if _wants(config.clear_cameras, seen, config) and not isinstance(method.backbone, Anchors):
+    if _wants(config.clear_cameras, seen, config):
         clearance = clearances(positions, [view.camera for view in seen.views])
     if _wants(config.far_shell, seen, config) and config.method.traits.initial_radiance == "merged":
         far = far_points(positions, views)

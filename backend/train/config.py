@@ -17,10 +17,12 @@ from ...bridge.regular import read_json_object, resolved
 from ...bridge.run_folder import CONFIG_FILE as CONFIG_FILE
 from ..methods.base import MethodConfig
 from ..methods.physhdr_common import PhysHDRConfig
-from ..methods.registry import config_named
-from ..model.anchors import AnchorsConfig
+from ..methods.registry import METHODS
+from ..model.backbone import BackboneConfig
 from ..start.initialise import Source
-from .densify import DensifyConfig
+from ..tables import Table
+from .backbones import BACKBONES
+from .densify import GaussiansConfig
 from .optimisers import OptimiserConfig
 
 #: Ten million: more than anybody trains, and exact in every number that counts them.
@@ -46,6 +48,11 @@ SIZES = frozenset(
 LARGEST_SIZE = 4096
 #: No weight, rate or threshold is larger; a million times as large is still no infinity in float32.
 LARGEST_NUMBER = 1e9
+#: Settings whose class a name in ``config.json`` leads to: its table, and the name where there is none.
+_NAMED: dict[type, tuple[Table[Any], str]] = {
+    MethodConfig: (METHODS, PhysHDRConfig.name),
+    BackboneConfig: (BACKBONES, GaussiansConfig.name),
+}
 
 #: auto: as the data ask for it.
 Switch = Literal["auto", "on", "off"]
@@ -105,14 +112,12 @@ class TrainConfig:
     #: The SH degree rises by one after this many iterations (3DGS: 1000).
     sh_degree_every: int = 150
     #: The length of training that steps of the schedule are given for (sh_degree_every; start, every and
-    #: reset_every of densify; every of anchors.growth): in one twice as long they are twice as long. 0: they
-    #: are iterations, however long it is.
+    #: reset_every of backbone): in one twice as long they are twice as long. 0: they are iterations, however
+    #: long it is.
     schedule_for: int = 0
     method: MethodConfig = field(default_factory=PhysHDRConfig)
-    #: Scaffold-GS's backbone instead of 3DGS's.
-    anchors: AnchorsConfig | None = None
+    backbone: BackboneConfig = field(default_factory=GaussiansConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
-    densify: DensifyConfig = field(default_factory=DensifyConfig)
 
     def __post_init__(self) -> None:
         if not 1 <= self.iterations <= ITERATIONS_MAX:
@@ -160,21 +165,11 @@ def in_iterations(config: TrainConfig) -> TrainConfig:
     def stretched(steps: int) -> int:
         return steps and max(1, round(steps * config.iterations / config.schedule_for))
 
-    densify, anchors = config.densify, config.anchors
-    if anchors is not None:
-        growth = dataclasses.replace(anchors.growth, every=stretched(anchors.growth.every))
-        anchors = dataclasses.replace(anchors, growth=growth)
     return dataclasses.replace(
         config,
         schedule_for=0,
         sh_degree_every=stretched(config.sh_degree_every),
-        densify=dataclasses.replace(
-            densify,
-            start=stretched(densify.start),
-            every=stretched(densify.every),
-            reset_every=stretched(densify.reset_every),
-        ),
-        anchors=anchors,
+        backbone=config.backbone.stretched(stretched),
     )
 
 
@@ -193,7 +188,7 @@ def _check_numbers(config: Any, where: str) -> None:
 
 
 def _flag(name: str) -> str:
-    """``anchors.feature_size`` → ``--anchors.feature-size``."""
+    """``backbone.prune_scale`` → ``--backbone.prune-scale``."""
     return "--" + name.replace("_", "-")
 
 
@@ -256,15 +251,16 @@ def completed(values: Any) -> dict[str, Any]:
 
 def _values(config: TrainConfig) -> dict[str, Any]:
     values = dataclasses.asdict(config)
-    values["method"] = {"name": config.method.name} | values["method"]
+    for part in ("method", "backbone"):
+        values[part] = {"name": getattr(config, part).name} | values[part]
     return values
 
 
 def _from_json(hint: Any, value: Any, where: str) -> Any:
     """``value`` as the annotation ``hint`` wants it; raises ``ValueError`` and what dataclasses refuse."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if hint is MethodConfig:
-        return method_of(value, where)
+    if hint in _NAMED:
+        return _named(hint, value, where)
     if origin is Literal:
         if value in arguments:
             return value
@@ -287,23 +283,31 @@ def _from_json(hint: Any, value: Any, where: str) -> Any:
     raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
 
 
-def method_of(value: Any, where: str = "method") -> MethodConfig:
+def method_of(value: Any) -> MethodConfig:
     """The settings of a method as ``config.json`` holds them; without a ``name``, PhysHDR's.
 
     Raises ``ValueError``, and ``BadValueError`` for a method that does not exist or cannot be so.
     """
+    return _named(MethodConfig, value, "method")
+
+
+def _named(hint: type, value: Any, where: str) -> Any:
+    """The settings of a method or a backbone, which its ``name`` leads to; raises as ``method_of``."""
     if not isinstance(value, dict):
         raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
-    kind = config_named(_from_json(str, value.get("name", "physhdr"), f"{where}.name"))
-    return _dataclass(kind, {key: item for key, item in value.items() if key != "name"}, where)
+    table, usual = _NAMED[hint]
+    name = _from_json(str, value.get("name", usual), f"{where}.name")
+    if name not in table:
+        raise BadValueError(f"there is no {where} {name!r}", f"There are: {', '.join(table)}.")
+    return _dataclass(table[name].config, {key: item for key, item in value.items() if key != "name"}, where)
 
 
 def _dataclass(cls: type, values: dict[str, Any], where: str) -> Any:
     """A dataclass from what ``dataclasses.asdict`` gave; unknown names are refused, missing ones default."""
-    hints = typing.get_type_hints(cls)
+    hints, names = typing.get_type_hints(cls), {each.name for each in dataclasses.fields(cls)}
     arguments = {}
     for name, value in values.items():
-        if name not in hints:
+        if name not in names:
             raise ValueError(f"there is no setting {where}.{name}")
         arguments[name] = _from_json(hints[name], value, f"{where}.{name}")
     return cls(**arguments)

@@ -6,21 +6,23 @@ when it is small and split when it is large; transparent and oversized ones are 
 and then so that what nobody needs can vanish (all 3DGS's).
 """
 
+import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 import torch
 
 from ..methods.base import Drawn, Method
+from ..model.backbone import Attributes, BackboneConfig
 from ..model.gaussians import Gaussians
 from ..model.morton import morton_order
 from ..rasterize.reference import rotation_matrices
 from ..scene.camera import Camera
-from ..scene.resident import camera_tensors
 from .clearance import floating
-from .growth import Growth, NoGaussiansLeftError
+from .growth import Growth, NoGaussiansLeftError, gradient_norm
 from .optimisers import Optimiser
 
 #: What a checkpoint calls the distances before which nothing is.
@@ -34,18 +36,21 @@ RESET_OPACITY = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class DensifyConfig:
-    """When and what to densify. Defaults: preset ``default``; see docs/method.md."""
+class GaussiansConfig(BackboneConfig):
+    """3DGS's backbone: when and what to densify. Defaults: preset ``default``; see docs/method.md."""
 
+    name: ClassVar[str] = "gaussians"
+    splat_bytes: ClassVar[int] = 1000
+    #: 17,600 became 162,000 to 188,000 (lab/notebook.md).
+    growth_factor: ClassVar[int] = 10
+    keeps_points: ClassVar[bool] = True
+
+    #: Densification begins after this iteration.
     start: int = 100
-    every: int = 100
     #: Share of the training after which the number of Gaussians stays.
     stop: float = 0.6
     #: τ_p: mean norm of ∂L/∂(NDC position).
     threshold: float = 1e-4
-    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 17); 0 switches the scaling off.
-    scaling_strength: float = 0.0
-    prune_opacity: float = 0.005
     #: Prune Gaussians larger than this share of the extent (after the first reset). 3DGS's test of their size
     #: on the screen is not here: its program clears what that reads just before.
     prune_scale: float = 0.1
@@ -53,6 +58,22 @@ class DensifyConfig:
     reset_every: int = 0
     #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
     budget: int = 60_000
+
+    def stretched(self, steps: Callable[[int], int]) -> Self:
+        return dataclasses.replace(
+            self, start=steps(self.start), every=steps(self.every), reset_every=steps(self.reset_every)
+        )
+
+    def growing(self, iterations: int) -> tuple[int, int]:
+        return self.start, round(self.stop * iterations)
+
+    def first_gaussians(self, points: int) -> int:
+        return points
+
+    def numbers(self, attributes: Attributes) -> float:
+        """Means, sizes, rotation, opacity, illumination; a colour for each coefficient; shares; context."""
+        colours = (attributes.sh_degree + 1) ** 2 + attributes.lights
+        return 12 + 3 * colours + attributes.context_size
 
 
 @dataclass
@@ -68,34 +89,26 @@ class DensifyState:
         return cls(zeros, zeros.clone())
 
 
-def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
-    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[N]``."""
-    return strength * deviation.sigmoid() + 1.0
-
-
 def observe(
     state: DensifyState,
     screen_gradient: torch.Tensor,
     drawn: Drawn,
     camera: Camera,
-    config: DensifyConfig,
+    config: GaussiansConfig,
 ) -> None:
     """Add one view's screen gradient ``[N, 2]`` (per pixel) to the statistics, in NDC and times s_a."""
-    to_ndc = camera_tensors(camera, screen_gradient).half_size
-    norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
-    if config.scaling_strength and drawn.illumination_deviation is not None:
-        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
+    norm = gradient_norm(screen_gradient, drawn, camera, config)
     visible = drawn.rasterization.radii > 0
     state.gradient_sum += torch.where(visible, norm, torch.zeros_like(norm))
     state.visits += visible
 
 
-def is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
+def is_due(iteration: int, iterations: int, config: GaussiansConfig) -> bool:
     """Whether to densify after this iteration (counted from 1)."""
     return config.start < iteration < config.stop * iterations and iteration % config.every == 0
 
 
-def reset_is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
+def reset_is_due(iteration: int, iterations: int, config: GaussiansConfig) -> bool:
     """Whether to reset the opacity after this iteration (counted from 1)."""
     return (
         config.reset_every > 0
@@ -110,7 +123,7 @@ def densify(
     optimiser: Optimiser,
     state: DensifyState,
     iteration: int,
-    config: DensifyConfig,
+    config: GaussiansConfig,
     generator: torch.Generator,
     unwanted: torch.Tensor | None = None,
 ) -> DensifyState:
@@ -169,8 +182,8 @@ def _none_left(iteration: int, count: int, oversized: int, limit: float) -> NoGa
         f"pruning after iteration {iteration} would remove all {count:,} Gaussians: {oversized:,} as larger "
         f"than {limit:.2g} m, {count - oversized:,} as nearly transparent or where nothing was photographed",
         "That size is a share of how far apart the cameras stand, next to nothing where they only turn: "
-        "train again with --densify.reset-every 0, as the preset default has it, or with a larger "
-        "--densify.prune-scale; where they are transparent, with a smaller --densify.prune-opacity. "
+        "train again with --backbone.reset-every 0, as the preset default has it, or with a larger "
+        "--backbone.prune-scale; where they are transparent, with a smaller --backbone.prune-opacity. "
         "What was saved before is untouched.",
     )
 
@@ -194,7 +207,7 @@ class GaussianGrowth(Growth):
         self,
         method: Method,
         optimiser: Optimiser,
-        config: DensifyConfig,
+        config: GaussiansConfig,
         iterations: int,
         seed: tuple[int, ...],
         cameras: Sequence[Camera] = (),

@@ -18,7 +18,6 @@ import torch
 
 from ..model.gaussians import Gaussians
 from ..simd import give_back_freed_memory
-from .config import TrainConfig
 from .memory import sizes_of
 from .trainer import Trainer
 
@@ -48,7 +47,7 @@ class Cost:
 class Plan:
     """What decides how the cost of an iteration changes over a training.
 
-    ``first`` and ``most``: Gaussians (or anchors) at the start and at the end; growth goes on from iteration
+    ``first`` and ``most``: the backbone's primitives at the start and at the end; they grow from iteration
     ``grows_from`` to ``grows_until``. Iterations before ``half_until`` are at half size.
     """
 
@@ -135,31 +134,22 @@ def plan_of(trainer: Trainer) -> Plan:
     config, now = trainer.config, trainer_count(trainer)
     sizes = sizes_of(trainer.scene, config)
     # Estimates of the first points are their most, and a search has found fewer by now.
-    most = max(now, _primitives(sizes.most, config))
-    if sizes.most == sizes.first:
-        most = now  # no growth
-    if config.anchors is None:
-        start, stop = trainer.schedule.densify.start, config.densify.stop
-    else:
-        growth = config.anchors.growth
-        start, stop = round(growth.start * config.iterations), growth.stop
+    each = trainer.method.size // max(now, 1)  # Gaussians of a primitive
+    most = now if sizes.most == sizes.first else max(now, sizes.most // each)
+    begins, ends = trainer.schedule.backbone.growing(config.iterations)
     return Plan(
         iterations=config.iterations,
         first=now,
         most=most,
-        grows_from=max(start, trainer.iteration),
-        grows_until=round(stop * config.iterations),
+        grows_from=max(begins, trainer.iteration),
+        grows_until=ends,
         half_until=math.ceil(config.half_size_until * config.iterations),
     )
 
 
 def trainer_count(trainer: Trainer) -> int:
-    """Gaussians or anchors there are; 0 of a method that has none."""
+    """The backbone's primitives; 0 of a method that has none."""
     return len(trainer.method.backbone)
-
-
-def _primitives(gaussians: int, config: TrainConfig) -> int:
-    return gaussians if config.anchors is None else gaussians // config.anchors.offsets
 
 
 # -- timing --------------------------------------------------------------------------------------------------

@@ -3,9 +3,13 @@
 
 from abc import abstractmethod
 
+import torch
+
 from ...bridge.errors import PhysHDRError
 from ..methods.base import Batch, Drawn, Outcome
+from ..model.backbone import BackboneConfig
 from ..scene.camera import Camera
+from ..scene.resident import camera_tensors
 from .parts import Part
 
 
@@ -32,3 +36,19 @@ class Growth(Part):
 
     def step(self, batch: Batch) -> None:
         self.control(batch.iteration + 1)
+
+
+def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
+    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[M]``."""
+    return strength * deviation.sigmoid() + 1.0
+
+
+def gradient_norm(
+    screen_gradient: torch.Tensor, drawn: Drawn, camera: Camera, config: BackboneConfig
+) -> torch.Tensor:
+    """Of one view's screen gradient ``[M, 2]`` (per pixel): its norm in NDC times s_a, ``[M]``."""
+    to_ndc = camera_tensors(camera, screen_gradient).half_size
+    norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
+    if config.scaling_strength and drawn.illumination_deviation is not None:
+        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
+    return norm

@@ -15,7 +15,6 @@ import torch
 
 from ..kernels.ahead import CONTEXT
 from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, picture_room, room
-from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
 from ..scene.encoding import CAMERA
 from ..scene.points import with_points_file
 from ..scene.resident import picture_room_on
@@ -36,9 +35,9 @@ CARD_BYTES = 500_000_000
 #: A parameter is there with its gradient and Adam's two moments; growth copies all of it, and the heap keeps
 #: what the smaller arrays of before have left.
 COPIES = 8
-#: An iteration's bytes for each Gaussian (activations, gradients, what is projected): of 3DGS's; of anchors,
-#: which come out of networks; for each channel of its colour; and for each thread that sorts it.
-SPLAT_BYTES, ANCHOR_SPLAT_BYTES, CHANNEL_BYTES, SORT_BYTES = 1000, 1300, 100, 16
+#: An iteration's bytes for each Gaussian beside the backbone's (``BackboneConfig.splat_bytes``): for each
+#: channel of its colour, and for each thread that sorts it.
+CHANNEL_BYTES, SORT_BYTES = 100, 16
 #: An iteration's bytes for each pixel: of the view that is drawn, with the tile lists; of each picture that
 #: is developed and compared, for each branch; and what local curves add to that.
 DRAWN_PIXEL_BYTES, DEVELOPED_PIXEL_BYTES, LOCAL_PIXEL_BYTES = 200, 250, 200
@@ -49,9 +48,6 @@ COST_VOLUMES = 3
 #: A method of rays sends samples through its networks in portions of one size (HDR-NeRF as published: 40 MB).
 RAYS_BYTES = 100_000_000
 
-#: Where growth has no bound, so many Gaussians come of a first point: 17,600 became 162,000 to 188,000
-#: (lab/notebook.md). Anchors have many to begin with.
-GROWTH, ANCHOR_GROWTH = 10, 3
 #: Pictures smaller by this on each side are tried as a remedy, and no fewer Gaussians than these.
 SMALLER, FEWEST_GAUSSIANS = (2, 4, 8), 5000
 
@@ -131,7 +127,7 @@ def _parts(needed: Estimate, sizes: Sizes, config: TrainConfig) -> str:
     def short(size: int) -> str:
         return f"{size / 1e9:.1f}" if size >= 5e7 else "less than 0.1"
 
-    guess = "" if _budget(config)[1] or sizes.most == sizes.first else "perhaps "
+    guess = "" if config.backbone.budget or sizes.most == sizes.first else "perhaps "
     of_gaussians = f"{short(needed.gaussians)} for {guess}{sizes.most:,} Gaussians, " if sizes.most else ""
     rest = f"{short(needed.total - needed.pictures - needed.gaussians)} for the program and one iteration"
     return f"{short(needed.pictures)} for pictures, {of_gaussians}{rest}"
@@ -165,18 +161,12 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
     points, seeks = _first_points(with_points_file(scene, config.points_file), config, views)
     first, most = _counts(points, config)
     wanted = config.method.attributes(training_lights(scene, config))
-    if config.anchors is None:
-        # Means, sizes, rotation, opacity, illumination; a colour for each coefficient; shares; context.
-        floats, work = 12 + 3 * (wanted.sh_degree + 1) ** 2 + 3 * wanted.lights, SPLAT_BYTES
-        floats += wanted.context_size
-    else:
-        floats, work = _anchor_floats(config.anchors), ANCHOR_SPLAT_BYTES
     return dataclasses.replace(
         sizes,
         first=first,
         most=most,
-        row_bytes=COPIES * FLOAT * floats,
-        splat_bytes=work + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
+        row_bytes=COPIES * FLOAT * config.backbone.numbers(wanted),
+        splat_bytes=config.backbone.splat_bytes + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
         pixel_bytes=DRAWN_PIXEL_BYTES + compared * branches * developed,
         seeks=seeks,
         merges=sizes.exposures > 1 and may_merge_brackets(config),
@@ -232,29 +222,12 @@ def _first_points(scene: Scene, config: TrainConfig, views: list[View]) -> tuple
 
 def _counts(points: int, config: TrainConfig) -> tuple[int, int]:
     """Gaussians at the start, and the most there will be."""
-    if config.anchors is None:
-        grows = in_iterations(config).densify.start < config.densify.stop * config.iterations
-        return points, _grown(points, config.densify.budget, GROWTH) if grows else points
-    # On surfaces, about half of the points share a cell of two spacings with another.
-    cells = points / max(1.0, config.anchors.placement / VOXELS_PER_SPACING)
-    first = round(cells) * config.anchors.offsets
-    return first, _grown(first, config.anchors.growth.budget, ANCHOR_GROWTH)
-
-
-def _grown(first: int, budget: int, growth: int) -> int:
-    return max(first, budget) if budget else growth * first
-
-
-def _anchor_floats(config: AnchorsConfig) -> float:
-    """State of an anchor for each of its Gaussians: place, two sizes, brightness, features; their offsets."""
-    return (3 + 6 + 3 * config.base_radiance + config.feature_size) / config.offsets + 3
-
-
-def _budget(config: TrainConfig) -> tuple[str, int]:
-    """The option that bounds the number of Gaussians, and its value."""
-    if config.anchors is None:
-        return "--densify.budget", config.densify.budget
-    return "--anchors.growth.budget", config.anchors.growth.budget
+    backbone = in_iterations(config).backbone
+    first = backbone.first_gaussians(points)
+    begins, ends = backbone.growing(config.iterations)
+    if begins >= ends:
+        return first, first
+    return first, max(first, backbone.budget) if backbone.budget else backbone.growth_factor * first
 
 
 # -- refusing ------------------------------------------------------------------------------------------------
@@ -291,7 +264,7 @@ def _remedies(
         most = sizes.most + int((there.bytes - total(sizes)) / each)
         most -= most % 1000
         if most >= max(sizes.first, FEWEST_GAUSSIANS):
-            found.append(f"Train fewer Gaussians: {_budget(config)[0]} {most}.")
+            found.append(f"Train fewer Gaussians: --backbone.budget {most}.")
     return found or [
         "Train on smaller pictures (--downscale) and with fewer Gaussians, or on another machine."
     ]

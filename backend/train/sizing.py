@@ -83,15 +83,14 @@ def _exposures(scene: Scene, views: list[View], config: TrainConfig) -> tuple[in
 def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()) -> TrainConfig:
     """``config``, a preset with what was ``typed``, at the size that the data call for.
 
-    ``typed``: settings that somebody has set, as ``densify.budget`` is written; these stay. Published
+    ``typed``: settings that somebody has set, as ``backbone.budget`` is written; these stay. Published
     presets, whose number of Gaussians has no bound, and methods without Gaussians keep their schedule.
     """
     changes: dict[str, Any] = {}
     if extent.exposures:
         changes["training_exposures"] = extent.exposures
     if budget := budget_of(config):
-        name = "densify.budget" if config.anchors is None else "anchors.growth.budget"
-        changes[name] = _budget(extent, config, budget)
+        changes["backbone.budget"] = _budget(extent, config, budget)
         iterations = _iterations(extent, config)
         changes["iterations"] = iterations
         # Whatever number of iterations is typed: one that is larger is what rates fall in.
@@ -102,7 +101,8 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
             longer = iterations / config.iterations
             changes["sh_degree_every"] = round(config.sh_degree_every * longer)
         if extent.detail > 1.0:
-            changes["random_points"] = _whole(config.random_points * changes[name] / budget, 1000)
+            more = changes["backbone.budget"] / budget
+            changes["random_points"] = _whole(config.random_points * more, 1000)
     for name, value in changes.items():
         if name not in typed:
             config = _with(config, name, value)
@@ -110,10 +110,8 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
 
 
 def budget_of(config: TrainConfig) -> int:
-    """The most primitives that growth makes, 0 where nothing bounds it or there are none."""
-    if not config.method.traits.splats:
-        return 0
-    return config.densify.budget if config.anchors is None else config.anchors.growth.budget
+    """The most Gaussians that growth makes, 0 where nothing bounds it or there are none."""
+    return config.backbone.budget if config.method.traits.splats else 0
 
 
 def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> str:
@@ -122,8 +120,7 @@ def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> s
     if found.iterations != before.iterations:
         parts.append(f"{found.iterations:,} iterations")
     if budget_of(found) != budget_of(before):
-        what = "Gaussians" if found.anchors is None else "anchors"
-        parts.append(f"up to {budget_of(found):,} {what}")
+        parts.append(f"up to {budget_of(found):,} Gaussians")
     if found.half_size_until != before.half_size_until:
         parts.append(f"the first {found.half_size_until:.0%} at half size")
     if found.training_exposures != before.training_exposures:
@@ -139,8 +136,7 @@ def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> s
 
 
 def _budget(extent: Extent, config: TrainConfig, budget: int) -> int:
-    # An anchor comes of several points (``AnchorsConfig.placement``): theirs are no reason for more.
-    points = extent.points if config.anchors is None else 0
+    points = extent.points if config.backbone.keeps_points else 0
     found = max(budget * extent.detail**BUDGET_POWER, ROOM_ABOVE_POINTS * points)
     return budget if found <= budget else _whole(found, 1000)
 

@@ -13,8 +13,6 @@ import torch
 from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
 from ..methods.base import Batch, Facts, Method, Recording, Responses
-from ..methods.registry import new_method
-from ..model.anchors import Anchors
 from ..rasterize import Implementation
 from ..rasterize.contract import CannotBeDrawnError
 from ..scene.points import with_points_file
@@ -22,7 +20,7 @@ from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from ..start.initialise import scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
-from .anchor_growth import AnchorGrowth
+from .backbones import BACKBONES, new_method
 from .beginning import Seen, begin
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
@@ -43,7 +41,7 @@ from .checkpoint import (
     save_checkpoint,
 )
 from .config import TrainConfig, fingerprint, in_iterations
-from .densify import CLEARANCE, GaussianGrowth
+from .densify import CLEARANCE
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth
 from .half_size import halved
@@ -65,7 +63,7 @@ from .views import (
     training_views,
 )
 
-#: Prefix of the backbone's parameters in a checkpoint, of either backbone.
+#: Prefix of the backbone's parameters in a checkpoint, whichever it is.
 PRIMITIVES = "gaussians."
 #: Prefix of the networks of method and backbone.
 NETWORKS = "networks."
@@ -126,7 +124,7 @@ class Trainer:
         #: Bounds of ln radiance.
         self.range = log_radiance_range(self.views, self.exposures)
         facts = Facts(scene.response_anchor, implementation, self.lights, self.responses, self.range)
-        self.method = new_method(config.method, self.schedule.anchors, facts)
+        self.method = new_method(config.method, self.schedule.backbone, facts)
         state = self._restore(resumed) if resumed else {}
         #: What is learned of each photo; None where nothing is.
         self.nuisances = self._new_nuisances()
@@ -192,16 +190,17 @@ class Trainer:
         self.start_message, self._clearance = first.message, first.clearance
 
     def _new_growth(self) -> Growth | None:
-        config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
-        method = self.method
-        if not self.config.method.traits.splats:
+        config, method = self.schedule, self.method
+        if not config.method.traits.splats:
             return None
-        if isinstance(method.backbone, Anchors):
-            return AnchorGrowth(method, self.optimiser, config.iterations, seed)
-        cameras = [view.camera for view in self.views]
-        iterations = config.iterations
-        return GaussianGrowth(
-            method, self.optimiser, config.densify, iterations, seed, cameras, self._clearance
+        return BACKBONES[config.backbone.name].growth(
+            method,
+            self.optimiser,
+            config.backbone,
+            config.iterations,
+            seed=(config.seed, STREAM_GROWTH),
+            cameras=[view.camera for view in self.views],
+            clearance=self._clearance,
         )
 
     def _new_merged(self) -> MergedBrackets | None:
@@ -569,7 +568,7 @@ def load_method(
     facts = Facts(
         anchor, implementation, lights, responses_in(metadata, path), log_radiance_range_in(metadata, path)
     )
-    method = new_method(config.method, config.anchors, facts)
+    method = new_method(config.method, config.backbone, facts)
     restore_method(method, tensors, path)
     method.to_device(torch.device(device))
     every = in_iterations(config).sh_degree_every

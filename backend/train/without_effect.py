@@ -5,7 +5,6 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from ..model.anchors import Anchors
 from ..model.tone_mapper import ToneMapper
 from .beginning import lie_on_surfaces, may_have_strays
 from .config import TrainConfig
@@ -14,7 +13,7 @@ from .trainer import Trainer
 
 #: Networks begin at random values, and a batch of rays is drawn from all pictures.
 OF_SPLATS = (
-    "densify",
+    "backbone",
     "optimiser",
     "random_points",
     "initial_points",
@@ -28,15 +27,6 @@ OF_SPLATS = (
     "far_shell",
     "clear_cameras",
     "merged_brackets",
-)
-#: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth,
-#: which removes none before a camera.
-OF_3DGS = (
-    "densify",
-    "initial_opacity",
-    "initial_thickness",
-    "initial_size_limit",
-    "clear_cameras",
 )
 
 
@@ -54,7 +44,7 @@ def _unread(trainer: Trainer) -> set[str]:
     method = trainer.method
     if not trainer.config.method.traits.splats:
         return {*OF_SPLATS}
-    unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
+    unread = {*trainer.config.backbone.unread}
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
     if trainer.config.method.traits.initial_radiance != "merged":

@@ -2,7 +2,7 @@
 """What a benchmark runs: ``plan.toml``, or the same from flags; kept in the benchmark's folder.
 
 kind = "report"                                           # or "tune": choices are made on validation views
-methods = ["default", "baseline", "dim := default --densify.threshold 4e-4"]
+methods = ["default", "baseline", "dim := default --backbone.threshold 4e-4"]
 scenes = ["../data/demo", "night=../data/bathroom"]      # beside the file, or absolute
 settings = ["exp3", "exp1"]
 seeds = [0, 1, 2]
@@ -74,7 +74,7 @@ class Method:
         except ValueError as error:
             raise BadValueError(
                 f"the method '{text}' cannot be read: {error}",
-                "For example: dim := default --densify.stop 0.3",
+                "For example: dim := default --backbone.stop 0.3",
             ) from error
         for word in options:
             if word.partition("=")[0] in OURS:
@@ -277,7 +277,7 @@ class Plan:
 
 
 def option_words(assignment: str) -> tuple[str, ...]:
-    """``densify.budget=3`` → ``--densify.budget 3``; ``a.b=false`` → ``--a.no-b``; a list has spaces, and
+    """``backbone.budget=3`` → ``--backbone.budget 3``; ``a.b=false`` → ``--a.no-b``; a list has spaces, and
     quotes keep a value with spaces together.
 
     Raises ``BadValueError`` for what is no assignment, and for fields that the plan sets itself.

@@ -446,7 +446,7 @@ def _files_below(top: Path) -> Iterator[Path]:
 
 
 def differences(old: Any, new: Any, name: str = "") -> list[str]:
-    """``densify.budget 60000 → 30000`` for each value that is not the same in two configurations."""
+    """``backbone.budget 60000 → 30000`` for each value that is not the same in two configurations."""
     if isinstance(old, dict) and isinstance(new, dict):
         found = []
         for key in dict.fromkeys([*old, *new]):

@@ -85,7 +85,7 @@ LAB: Floors = (
     ("benchmark.child",),
     ("command",),
     ("benchmark", "presets"),
-    ("peers",),
+    ("peers", "anchors"),
 )
 FLOORS = {"backend": BACKEND, "addon": ADDON, "lab": LAB}
 

@@ -52,7 +52,7 @@ def steady(preset: str) -> TrainConfig:
         config,
         iterations=WHOLE,
         optimiser=synthetic.STANDSTILL,
-        densify=dataclasses.replace(config.densify, stop=1.0, every=1 << 30, reset_every=0),
+        backbone=dataclasses.replace(config.backbone, stop=1.0, every=1 << 30, reset_every=0),
         method=dataclasses.replace(config.method, tone_mapper=tone_mapper),
     )
 

@@ -92,12 +92,12 @@ def short(preset: str, iterations: int) -> TrainConfig:
         iterations=iterations,
         sh_degree_every=sixth,
         method=dataclasses.replace(config.method, tone_mapper=tone_mapper),
-        densify=dataclasses.replace(
-            config.densify,
+        backbone=dataclasses.replace(
+            config.backbone,
             start=sixth - 1,
             every=sixth,
             stop=0.7,
-            reset_every=2 * sixth if config.densify.reset_every else 0,
+            reset_every=2 * sixth if config.backbone.reset_every else 0,
             prune_scale=10.0,
         ),
     )

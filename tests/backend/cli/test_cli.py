@@ -220,7 +220,7 @@ def test_an_option_that_a_resumed_run_would_not_read_is_refused(run, tiny_data, 
     """Its own configuration is used: whoever types another number of iterations would never know."""
     for words in (
         ["--iterations", "60"],
-        ["--densify.budget=9"],
+        ["--backbone.budget=9"],
         ["--method.loss.unit-weight", "1"],
         ["--preset", "paper"],
         ["--out", str(run)],

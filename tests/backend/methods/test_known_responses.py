@@ -12,13 +12,14 @@ from physhdr.backend.evaluate.response import learned_response
 from physhdr.backend.kernels.ssim import ssim_map_reference
 from physhdr.backend.methods.base import Batch, Exposed, Facts, Recording
 from physhdr.backend.methods.losses import compared
-from physhdr.backend.methods.registry import METHODS, new_method
+from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
+from physhdr.backend.train.backbones import new_method
 from physhdr.backend.train.half_size import halved
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer, load_method
@@ -143,7 +144,7 @@ def test_methods_that_learn_every_response_say_so(preset):
     config = PRESETS[preset]
     for responses in ("known", "mixed"):
         with pytest.raises(BadValueError, match="known one") as error:
-            new_method(config.method, config.anchors, Facts(responses=responses))
+            new_method(config.method, config.backbone, Facts(responses=responses))
         assert "default" in error.value.hint
 
 

@@ -18,7 +18,7 @@ ANCHOR = (1.0, 0.73)
 OURS = [
     name
     for name, config in PRESETS.items()
-    if isinstance(config.method, PhysHDRConfig) and config.anchors is None
+    if isinstance(config.method, PhysHDRConfig) and config.backbone.name == "gaussians"
 ]
 
 

@@ -6,8 +6,11 @@ import dataclasses
 import pytest
 
 from physhdr.backend.methods.base import Facts, MethodConfig
-from physhdr.backend.methods.registry import METHODS, config_named, new_method
+from physhdr.backend.methods.registry import METHODS
+from physhdr.backend.model.backbone import BackboneConfig
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.backbones import BACKBONES, new_method
+from physhdr.backend.train.config import method_of
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError
@@ -17,19 +20,20 @@ SMALL = ("default", "baseline", "paper", "default-scaffold", "gausshdr", "hdr-gs
 
 
 def test_a_name_leads_to_the_settings_and_back():
-    for name, row in METHODS.items():
-        assert config_named(name) is row.config and issubclass(row.config, MethodConfig)
-        assert row.config.name == name
+    for table, kind in ((METHODS, MethodConfig), (BACKBONES, BackboneConfig)):
+        for name, row in table.items():
+            assert issubclass(row.config, kind) and row.config.name == name
     assert {config.method.name for config in PRESETS.values()} == METHODS.keys()
+    assert {config.backbone.name for config in PRESETS.values()} == BACKBONES.keys()
     with pytest.raises(BadValueError, match=r"no method 'nerf'[\s\S]*hdr-nerf"):
-        config_named("nerf")
+        method_of({"name": "nerf"})
 
 
 @pytest.mark.parametrize("preset", SMALL)
 def test_what_is_declared_is_so(preset, tiny_data):
     config = PRESETS[preset]
     traits = config.method.traits
-    method = new_method(config.method, config.anchors, Facts())
+    method = new_method(config.method, config.backbone, Facts())
     if traits.splats:
         wanted = config.method.attributes(("ambient",))
         assert method.has_light_share == (wanted.lights > 0)

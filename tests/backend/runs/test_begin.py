@@ -47,7 +47,7 @@ def test_what_is_found_is_told_and_written_and_is_what_a_resume_has(tiny_data, t
         trainer.save(run.folder)
     written = read_config(tmp_path / "run" / CONFIG_FILE).config
     assert written == run.config == trainer.config
-    assert written.iterations > PRESET.iterations and written.densify.budget > PRESET.densify.budget
+    assert written.iterations > PRESET.iterations and written.backbone.budget > PRESET.backbone.budget
     assert any(f"{written.iterations:,} iterations" in str(line) for line in told)
     told.clear()
     with resume_run(tmp_path / "run", None, workshop) as (resumed, _):
@@ -135,7 +135,7 @@ def take_from_elsewhere(data: Path) -> None:
 
 
 def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):
-    typed = ("iterations", "densify.budget", "half_size_until", "random_points", "optimiser.rates_for")
+    typed = ("iterations", "backbone.budget", "half_size_until", "random_points", "optimiser.rates_for")
     with begin(tiny_data, tmp_path / "run", workshop, typed=typed) as (trainer, _):
         assert trainer.config == PRESET
 

@@ -47,8 +47,8 @@ def test_only_what_is_in_the_frame_floats():
 
 def short(**changes):
     config = PRESETS["default"]
-    density = dataclasses.replace(config.densify, start=2, every=4, stop=0.9)
-    return dataclasses.replace(config, iterations=10, densify=density, **changes)
+    density = dataclasses.replace(config.backbone, start=2, every=4, stop=0.9)
+    return dataclasses.replace(config, iterations=10, backbone=density, **changes)
 
 
 def test_a_floater_is_removed_where_it_is_wanted(tiny_data):

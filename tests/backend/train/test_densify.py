@@ -15,14 +15,13 @@ from physhdr.backend.model.morton import morton_order
 from physhdr.backend.rasterize import Rasterization
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.densify import (
-    DensifyConfig,
     DensifyState,
+    GaussiansConfig,
     densify,
-    gradient_scaling,
     observe,
     reset_opacity,
 )
-from physhdr.backend.train.growth import NoGaussiansLeftError
+from physhdr.backend.train.growth import NoGaussiansLeftError, gradient_scaling
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
 
@@ -48,7 +47,7 @@ def make(count=8):
 
 
 def control(method, optimiser, gradients, iteration=1, **changes):
-    config = dataclasses.replace(DensifyConfig(threshold=1.0, budget=0), **changes)
+    config = dataclasses.replace(GaussiansConfig(threshold=1.0, budget=0), **changes)
     state = DensifyState.empty(method.gaussians)
     state.gradient_sum += torch.tensor(gradients) * 3.0
     state.visits += 3.0  # the mean over visits is what counts
@@ -106,7 +105,7 @@ def test_where_none_would_be_left_it_says_so_and_changes_nothing():
         NoGaussiansLeftError, match=r"all 8 Gaussians: 5 as larger than 0\.1 m, 3 as "
     ) as error:
         control(method, optimiser, [0.0] * 8, reset_every=1, iteration=2)
-    assert "--densify.reset-every 0" in error.value.hint
+    assert "--backbone.reset-every 0" in error.value.hint
     for name, tensor in method.gaussians.parameters.items():
         assert torch.equal(tensor, before[name])
     control(method, optimiser, [0.0] * 8, reset_every=0, iteration=2)  # as the hint says
@@ -144,7 +143,7 @@ def test_a_views_gradient_counts_as_much_as_its_light_deviates():
         ({"scaling_strength": 2.0}, [20.0, 25.0, 30.0, 0.0]),
     ]:
         state = DensifyState.empty(method.gaussians)
-        observe(state, gradient, drawn, camera, DensifyConfig(**changes))
+        observe(state, gradient, drawn, camera, GaussiansConfig(**changes))
         assert state.gradient_sum.tolist() == pytest.approx(wanted)
         assert state.visits.tolist() == [1.0, 1.0, 1.0, 0.0]
 

@@ -57,8 +57,8 @@ def iteration_seconds(pixels: int, gaussians: float) -> float:
 
 def short(preset: str, **changes):
     config = PRESETS[preset]
-    density = dataclasses.replace(config.densify, budget=600)
-    changes = {"initial_points": "random", "random_points": 200, "densify": density} | changes
+    density = dataclasses.replace(config.backbone, budget=600)
+    changes = {"initial_points": "random", "random_points": 200, "backbone": density} | changes
     return dataclasses.replace(config, iterations=1000, **changes)
 
 
@@ -119,9 +119,10 @@ def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, t
     monkeypatch.setattr(duration, "SHARE", math.inf)
     scene, ends = read_scene(tiny_data), []
     half = 0.5 if PRESETS[preset].half_size_until else 0.0
-    density = dataclasses.replace(PRESETS[preset].densify, start=4, every=4, stop=0.9, threshold=1e-6)
+    start = {"start": 4} if PRESETS[preset].backbone.name == "gaussians" else {}
+    density = dataclasses.replace(PRESETS[preset].backbone, every=4, stop=0.9, threshold=1e-6, **start)
     config = dataclasses.replace(
-        short(preset, densify=density, half_size_until=half),
+        short(preset, backbone=density, half_size_until=half),
         iterations=12,
         nuisances=nuisances,
     )

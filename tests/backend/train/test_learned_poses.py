@@ -149,8 +149,8 @@ def test_that_all_cameras_move_turn_or_spread_together_is_never_learned(tiny_dat
 
 def short(mode="on", iterations=24, preset="default"):
     config = PRESETS[preset]
-    density = dataclasses.replace(config.densify, start=5, every=10, stop=0.8, threshold=1e-5)
-    return dataclasses.replace(config, iterations=iterations, densify=density, poses=mode)
+    density = dataclasses.replace(config.backbone, start=5, every=10, stop=0.8, threshold=1e-5)
+    return dataclasses.replace(config, iterations=iterations, backbone=density, poses=mode)
 
 
 def test_what_a_training_finds_of_wrong_poses_is_nearer_to_the_true_ones(larger_data):

@@ -39,7 +39,7 @@ preset, data, count = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
 config = PRESETS[preset]
 config = dataclasses.replace(
     config, iterations=30, initial_points="random", random_points=count, half_size_until=0.0,
-    densify=dataclasses.replace(config.densify, start=5, every=5, stop=0.9, budget=count),
+    backbone=dataclasses.replace(config.backbone, start=5, every=5, stop=0.9, budget=count),
 )
 scene = read_scene(data)
 trainer = Trainer(scene, config)
@@ -104,10 +104,7 @@ def options_of(error: NotEnoughMemoryError) -> list[list[str]]:
 @pytest.mark.parametrize("preset", ["default", "paper", "default-scaffold", "gausshdr"])
 def test_what_cannot_fit_is_refused_with_options_of_which_each_makes_it_fit(monkeypatch, preset, tiny_data):
     config = dataclasses.replace(PRESETS[preset], initial_points="random", random_points=8000)
-    config = dataclasses.replace(config, densify=dataclasses.replace(config.densify, budget=1_000_000))
-    if config.anchors:
-        growth = dataclasses.replace(config.anchors.growth, budget=1_000_000)
-        config = dataclasses.replace(config, anchors=dataclasses.replace(config.anchors, growth=growth))
+    config = dataclasses.replace(config, backbone=dataclasses.replace(config.backbone, budget=1_000_000))
     with_room(monkeypatch, 1500)
     with pytest.raises(NotEnoughMemoryError, match=r"1,000,000 Gaussians.*1\.5 GB are free") as refused:
         check_memory(read_scene(tiny_data), config, CPU, lambda _: None)

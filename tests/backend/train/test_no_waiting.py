@@ -26,7 +26,7 @@ aten = torch.ops.aten
 OURS = [
     name
     for name, config in PRESETS.items()
-    if isinstance(config.method, PhysHDRConfig) and config.anchors is None
+    if isinstance(config.method, PhysHDRConfig) and config.backbone.name == "gaussians"
 ]
 
 

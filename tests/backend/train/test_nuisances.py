@@ -20,8 +20,8 @@ from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 def short(preset="default", mode="on", iterations=24):
     config = PRESETS[preset]
-    density = dataclasses.replace(config.densify, start=5, every=10, stop=0.8, threshold=1e-5)
-    return dataclasses.replace(config, iterations=iterations, densify=density, nuisances=mode)
+    density = dataclasses.replace(config.backbone, start=5, every=10, stop=0.8, threshold=1e-5)
+    return dataclasses.replace(config, iterations=iterations, backbone=density, nuisances=mode)
 
 
 def fresh(scene, exposures=(0, 2, 4)):

@@ -35,7 +35,9 @@ def start(scene, preset, seed, iterations, implementation):
     bit part ways, and end up to 0.7 dB from each other, in either direction.
     """
     config = PRESETS[preset]
-    density = dataclasses.replace(config.densify, start=10, every=20, stop=0.6, threshold=1e-4, reset_every=0)
+    density = dataclasses.replace(
+        config.backbone, start=10, every=20, stop=0.6, threshold=1e-4, reset_every=0
+    )
     method = config.method
     if method.tone_mapper.warm_start_steps:  # takes longer than all the rest: begin near the true response
         begun = {"anchored": True, "initial_slope": 0.6, "warm_start_steps": 0}
@@ -45,7 +47,7 @@ def start(scene, preset, seed, iterations, implementation):
         iterations=iterations,
         seed=seed,
         sh_degree_every=15,
-        densify=density,
+        backbone=density,
         method=method,
         optimiser=PRESETS["default"].optimiser,  # the paper's own rates need more than a few steps
     )

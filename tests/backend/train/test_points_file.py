@@ -104,7 +104,7 @@ def test_sizes_that_are_found_are_of_the_file(data):
     scene = read_scene(data)
     for name, budget in (("many.ply", 75_000), ("other.ply", 60_000), (None, 60_000)):
         config = dataclasses.replace(PRESETS["default"], points_file=name)
-        assert found_sizes(extent_of(scene, config), config).densify.budget == budget
+        assert found_sizes(extent_of(scene, config), config).backbone.budget == budget
     many = with_points_file(scene, "many.ply")
     config = dataclasses.replace(PRESETS["default"], points_file="other.ply")
     assert found_sizes(extent_of(many, config), config) == config

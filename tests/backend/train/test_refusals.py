@@ -18,7 +18,7 @@ REFUSED = {
     "--preset paper --method.no-illumination-branch": r"f_mix[\s\S]*no-mix",
     "--preset default --method.sh-degree 4": "SH degree",
     "--preset default --optimiser.tone-mapper -1": "learning rate",
-    "--preset default-scaffold --anchors.rates.colour-final -1": "learning rate",
+    "--preset default-scaffold --backbone.rates.colour-final -1": "learning rate",
     "--preset paper --method.loss.blur-size 4": "odd",
     "--preset hdr-nerf-small --method.coarse-samples 2": r"coarse samples[\s\S]*3 or more",
     "--preset hdr-nerf-small --method.learning-rate -1": "learning rate",

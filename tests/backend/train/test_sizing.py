@@ -39,7 +39,7 @@ def test_the_rule_is_the_table_of_the_documentation(row):
     width, height, views, points, budget, iterations, half = map(int, row)
     extent = dataclasses.replace(RENDERS, pixels=width * height, views=views, points=points)
     found = found_sizes(extent, PRESETS["default"])
-    assert (found.densify.budget, found.iterations) == (budget, iterations)
+    assert (found.backbone.budget, found.iterations) == (budget, iterations)
     assert round(100 * found.half_size_until) == half
 
 
@@ -53,9 +53,9 @@ def test_of_our_renders_at_200_pixels_every_preset_stays_what_it_is(preset, pixe
 
 def test_what_is_typed_stays_also_where_it_is_the_preset_s_own():
     preset = PRESETS["default"]
-    typed = options_in(["train", "DATA", "--iterations", "2500", "--densify.budget=60000", "--out", "RUN"])
+    typed = options_in(["train", "DATA", "--iterations", "2500", "--backbone.budget=60000", "--out", "RUN"])
     found = found_sizes(LARGE, preset, typed)
-    assert (found.iterations, found.densify.budget) == (2500, 60_000)
+    assert (found.iterations, found.backbone.budget) == (2500, 60_000)
     assert found.sh_degree_every == preset.sh_degree_every  # of as many iterations
     assert found.half_size_until > preset.half_size_until  # nobody has said anything of it
 
@@ -77,12 +77,12 @@ def test_options_are_found_as_they_may_be_written():
         "--half-size-until",
         "0",
         "--sh_degree_every=9",
-        "--anchors.growth.budget",
+        "--backbone.budget",
         "5",
         "-x",
         "--out=--a",
     ]
-    assert options_in(words) == ("half_size_until", "sh_degree_every", "anchors.growth.budget", "out")
+    assert options_in(words) == ("half_size_until", "sh_degree_every", "backbone.budget", "out")
 
 
 @pytest.mark.parametrize("preset", ["paper", "gausshdr", "gausshdr-scaffold", "hdr-gs", "hdr-nerf"])
@@ -100,16 +100,9 @@ def test_of_photographs_training_sees_every_exposure():
     )
 
 
-def test_anchors_have_the_budget_of_their_own_growth():
-    preset = PRESETS["default-scaffold"]
-    found = found_sizes(LARGE, preset)
-    assert found.densify == preset.densify
-    assert found.anchors.growth.budget > preset.anchors.growth.budget
-
-
 def test_points_of_the_data_set_have_room():
     found = found_sizes(dataclasses.replace(RENDERS, points=100_000), PRESETS["default"])
-    assert found.densify.budget == 150_000 and found.iterations == PRESETS["default"].iterations
+    assert found.backbone.budget == 150_000 and found.iterations == PRESETS["default"].iterations
 
 
 def test_larger_data_never_get_less():
@@ -124,7 +117,7 @@ def test_larger_data_never_get_less():
     for less in sizes:
         for more in sizes:
             if less.pixels <= more.pixels and less.views <= more.views and less.points <= more.points:
-                assert found[less].densify.budget <= found[more].densify.budget
+                assert found[less].backbone.budget <= found[more].backbone.budget
                 assert found[less].iterations <= found[more].iterations
                 assert found[less].half_size_until <= found[more].half_size_until
 

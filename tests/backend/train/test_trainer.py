@@ -16,7 +16,6 @@ from scipy.spatial import KDTree
 
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels.activations import LOG_RADIANCE_RANGE
-from physhdr.backend.model.anchors import AnchorsConfig
 from physhdr.backend.runs.monitor import view_monitor
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import LogEncoding
@@ -24,7 +23,7 @@ from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
 from physhdr.backend.train.checkpoint import METADATA, load_checkpoint, read_metadata, save_checkpoint
 from physhdr.backend.train.config import fingerprint, in_iterations, read_config, write_config
-from physhdr.backend.train.densify import DensifyConfig
+from physhdr.backend.train.densify import GaussiansConfig
 from physhdr.backend.train.growth import NoGaussiansLeftError
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
@@ -36,6 +35,7 @@ from physhdr.bridge.errors import (
     FileMissingError,
     OutputError,
 )
+from physhdr.lab.anchors.config import AnchorsConfig
 from physhdr.lab.peers.hdr_nerf import HDRNeRFConfig
 
 #: Presets that differ from others in numbers only.
@@ -44,7 +44,7 @@ SAME_OTHERWISE = "-short"
 ON_GAUSSIANS = [
     name
     for name, config in PRESETS.items()
-    if config.anchors is None
+    if config.backbone.name == "gaussians"
     and not isinstance(config.method, HDRNeRFConfig)
     and not name.endswith(SAME_OTHERWISE)
 ]
@@ -55,10 +55,12 @@ EVERY_METHOD = [name for name in PRESETS if name != "hdr-nerf" and not name.ends
 def short(preset: str, iterations: int = 40, **changes):
     """A preset, shortened so that densification and an opacity reset still happen."""
     config = PRESETS[preset]
-    density = dataclasses.replace(
-        config.densify, start=5, every=10, stop=0.8, threshold=1e-5, reset_every=25, prune_scale=10.0
-    )
-    return dataclasses.replace(config, iterations=iterations, densify=density, sh_degree_every=10, **changes)
+    if isinstance(config.backbone, GaussiansConfig):
+        density = dataclasses.replace(
+            config.backbone, start=5, every=10, stop=0.8, threshold=1e-5, reset_every=25, prune_scale=10.0
+        )
+        config = dataclasses.replace(config, backbone=density)
+    return dataclasses.replace(config, iterations=iterations, sh_degree_every=10, **changes)
 
 
 def train(scene, config, folder, stop_at=None):
@@ -84,8 +86,8 @@ def assert_identical(first, second):
 def test_a_schedule_given_for_another_length_is_stretched(tiny_data, tmp_path):
     """For 400 iterations, in a training of 40: each step is a tenth, and nothing else differs."""
     config = short("paper")
-    steps = dataclasses.replace(config.densify, start=50, every=100, reset_every=250)
-    given = dataclasses.replace(config, densify=steps, sh_degree_every=100, schedule_for=400)
+    steps = dataclasses.replace(config.backbone, start=50, every=100, reset_every=250)
+    given = dataclasses.replace(config, backbone=steps, sh_degree_every=100, schedule_for=400)
     scene = read_scene(tiny_data)
     for name, each in (("plain", config), ("stretched", given)):
         train(scene, each, tmp_path / name)
@@ -98,12 +100,12 @@ def test_a_schedule_given_for_another_length_is_stretched(tiny_data, tmp_path):
 
 
 def test_steps_of_a_stretched_schedule_are_whole_and_at_least_one():
-    scaffold = dataclasses.replace(PRESETS["paper-scaffold"], iterations=1000, schedule_for=30_000)
-    there = in_iterations(scaffold)
-    assert (there.sh_degree_every, there.anchors.growth.every, there.densify.reset_every) == (33, 3, 100)
-    assert in_iterations(dataclasses.replace(scaffold, iterations=10)).anchors.growth.every == 1
+    paper = dataclasses.replace(PRESETS["paper"], iterations=1000, schedule_for=30_000)
+    there = in_iterations(paper)
+    assert (there.sh_degree_every, there.backbone.every, there.backbone.reset_every) == (33, 3, 100)
+    assert in_iterations(dataclasses.replace(paper, iterations=10)).backbone.every == 1
     never = in_iterations(dataclasses.replace(PRESETS["default"], iterations=5000, schedule_for=2500))
-    assert (never.densify.reset_every, never.densify.every, never.sh_degree_every) == (0, 200, 300)
+    assert (never.backbone.reset_every, never.backbone.every, never.sh_degree_every) == (0, 200, 300)
     assert in_iterations(PRESETS["default"]) == PRESETS["default"]
 
 
@@ -158,7 +160,7 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     # The truth has a Gaussian at each first point and no directions: three small views would overfit more.
     config = dataclasses.replace(
-        PRESETS["default"], iterations=600, sh_degree_every=1000, densify=DensifyConfig(stop=0.0)
+        PRESETS["default"], iterations=600, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
     )
     trainer = train(scene, config, tmp_path / "run")
     view = scene.test[0]
@@ -179,7 +181,7 @@ def test_training_separates_two_lights(two_lights_data, tmp_path):
     """Pairs of levels between and beyond the trained ones: far nearer than the best that scaling could do."""
     scene = read_scene(two_lights_data)
     config = dataclasses.replace(
-        PRESETS["default"], iterations=600, sh_degree_every=1000, densify=DensifyConfig(stop=0.0)
+        PRESETS["default"], iterations=600, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
     )
     trainer = train(scene, config, tmp_path / "run")
     assert trainer.method.lights == ("ambient", "pendant") and len(trainer.views) == 3 + 6
@@ -377,7 +379,7 @@ def test_where_all_gaussians_would_go_training_ends_and_keeps_the_last_good_chec
 
     scene = dataclasses.replace(scene, train=[turned(view) for view in scene.train], lit=[])
     config = short("hdr-gs", initial_points="file")
-    config = dataclasses.replace(config, densify=dataclasses.replace(config.densify, prune_scale=0.1))
+    config = dataclasses.replace(config, backbone=dataclasses.replace(config.backbone, prune_scale=0.1))
     trainer = Trainer(scene, config)
     trainer.save(tmp_path)
     with pytest.raises(NoGaussiansLeftError, match="after iteration 30 would remove all"):
@@ -566,9 +568,9 @@ def test_a_setting_that_is_added_some_day_leaves_the_fingerprint_alone(tmp_path)
 
 
 @pytest.mark.parametrize(
-    "where", ["iterations", "seed", "training_exposures", "method", "optimiser", "anchors"]
+    "where", ["iterations", "seed", "training_exposures", "method", "optimiser", "backbone"]
 )
-@pytest.mark.parametrize("value", [{"a": 1}, [[]], "1", True, -1, 10**400, {"name": 5}, 0.5])
+@pytest.mark.parametrize("value", [{"splat_bytes": 1}, [[]], "1", True, -1, 10**400, {"name": 5}, 0.5])
 def test_a_configuration_with_something_else_in_a_number_s_place_is_damaged(where, value, tmp_path):
     path = tmp_path / "config.json"
     write_config(path, PRESETS["default"], tmp_path, "default")
@@ -641,15 +643,15 @@ def test_a_bit_that_tipped_over_is_noticed(tiny_data, tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        {"densify": DensifyConfig(every=0)},
-        {"densify": DensifyConfig(threshold=float("nan"))},
+        {"backbone": GaussiansConfig(every=0)},
+        {"backbone": GaussiansConfig(threshold=float("nan"))},
         {"sh_degree_every": 0},
         {"initial_opacity": 1.0},
-        {"anchors": AnchorsConfig(feature_size=10**6)},
+        {"backbone": AnchorsConfig(feature_size=10**6)},
         {"initial_thickness": 0.0},
         {"initial_thickness": 1.1},
         {"random_points": -1},
-        {"anchors": AnchorsConfig(hidden=0)},
+        {"backbone": AnchorsConfig(hidden=0)},
         {"method": HDRNeRFConfig(rays_per_iteration=0)},
         {"method": HDRNeRFConfig(learning_rate=float("inf"))},
     ],

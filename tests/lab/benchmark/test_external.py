@@ -30,7 +30,7 @@ scenes = ["rooms/bath"]
 settings = ["exp3", "exp1"]
 seeds = [0, 1]
 budgets = ["iterations=1000"]
-set = ["downscale=2", "densify.budget=3"]
+set = ["downscale=2", "backbone.budget=3"]
 margins_of = ["theirs"]
 [[external]]
 name = "theirs"

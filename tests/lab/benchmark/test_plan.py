@@ -16,12 +16,12 @@ from physhdr.lab.command import Benchmark, configuration
 
 ROOT = Path(__file__).parents[3]
 PLAN = """
-methods = ["default", 'bold := default --densify.threshold 4e-4 --method.no-light "a b"']
+methods = ["default", 'bold := default --backbone.threshold 4e-4 --method.no-light "a b"']
 scenes = ["rooms/bath", "night=rooms/bath"]
 settings = ["exp3", "exp1"]
 seeds = [0, 1]
 budgets = ["iterations=1000", "cpu-seconds=2.5"]
-set = ["densify.budget=30000", "half_size_until=0.1"]
+set = ["backbone.budget=30000", "half_size_until=0.1"]
 margins_of = ["bold"]
 [[ladder]]
 name = "one \\"step\\""
@@ -38,9 +38,9 @@ def file(tmp_path):
 
 def test_a_plan_survives_being_written(file, tmp_path):
     plan = make_plan(read_plan(file), Path.cwd())
-    assert plan.methods[1].options == ("--densify.threshold", "4e-4", "--method.no-light", "a b")
+    assert plan.methods[1].options == ("--backbone.threshold", "4e-4", "--method.no-light", "a b")
     assert plan.scenes[1].name == "night" and plan.scenes[1].data == tmp_path / "rooms" / "bath"
-    assert plan.options == ("--densify.budget", "30000", "--half-size-until", "0.1")
+    assert plan.options == ("--backbone.budget", "30000", "--half-size-until", "0.1")
     write_plan(plan, tmp_path / "elsewhere" / "plan.toml")
     assert make_plan(read_plan(tmp_path / "elsewhere" / "plan.toml"), Path.cwd()) == plan
 

@@ -19,11 +19,11 @@ def command(*words):
 def test_a_tiny_benchmark_on_ray_from_plan_to_report(tiny_data, tmp_path, capsys):
     out, report = tmp_path / "out", tmp_path / "report.md"
     words = ["--methods", "short := baseline --sh-degree-every 5", "--scenes", f"tiny={tiny_data}"]
-    words += ["--budget", "iterations=12", "--set", "densify.budget=500", "--out", out]
+    words += ["--budget", "iterations=12", "--set", "backbone.budget=500", "--out", out]
     assert command(*words, "--ray", "local", "--report", report) == 0
     folder = out / "iterations-12" / "exp3" / "tiny" / "short" / "seed_0"
     config = json.loads((folder / "config.json").read_text())["config"]
-    assert config["densify"]["budget"] == 500 and config["sh_degree_every"] == 5
+    assert config["backbone"]["budget"] == 500 and config["sh_degree_every"] == 5
     record = json.loads((folder / "run.json").read_text())
     events = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     assert record["cpu_seconds"] == events[-1]["cpu_seconds"] > 0 and record["iterations"] == 12
@@ -37,21 +37,24 @@ def test_a_tiny_benchmark_on_ray_from_plan_to_report(tiny_data, tmp_path, capsys
 
 
 def test_the_configuration_is_what_the_words_come_to(tiny_data):
-    content = {"methods": ["default", "x := paper --densify.stop 0.25"], "scenes": [str(tiny_data)]}
+    content = {"methods": ["default", "x := paper --backbone.stop 0.25"], "scenes": [str(tiny_data)]}
     content |= {"budgets": ["iterations=5"], "set": ["method.tone_mapper.local=true"]}
     plan = make_plan(content, tiny_data)
     config = configuration(plan, "x")
-    assert config.densify.stop == 0.25
+    assert config.backbone.stop == 0.25
     default = configuration(plan, "default")
-    assert default.densify != config.densify and default.method.tone_mapper.local is True
+    assert default.backbone != config.backbone and default.method.tone_mapper.local is True
 
 
 @pytest.mark.parametrize(
     ("method", "said"),
     [
         ("nobody", "no preset 'nobody'"),
-        ("x := default --densify.nothing 3", "options of the method 'x' are not understood.*densify.nothing"),
-        ("x := default --densify.stop soon", "options of the method 'x' are not understood"),
+        (
+            "x := default --backbone.nothing 3",
+            "options of the method 'x' are not understood.*backbone.nothing",
+        ),
+        ("x := default --backbone.stop soon", "options of the method 'x' are not understood"),
     ],
 )
 def test_a_method_that_cannot_be_trained_is_refused_before_anything_runs(

@@ -21,7 +21,7 @@ METHODS = [
     "default",
     "baseline",
     "paper-short",
-    "small := default --densify.budget 60000",
+    "small := default --backbone.budget 60000",
     "some := default --training-exposures 0 2",
 ]
 
@@ -33,7 +33,7 @@ def write_large(root: Path) -> Path:
 
 #: What is written, and a setting that some method then has otherwise than its preset.
 DATA = {
-    "larger than 200×200": (write_large, "densify.budget"),
+    "larger than 200×200": (write_large, "backbone.budget"),
     "photographs": (lambda root: layouts.write_colmap(root, poses=4), "training_exposures"),
     "HDR-NeRF-Real": (lambda root: layouts.write_real(root, poses=4), ""),
 }
@@ -58,8 +58,8 @@ def test_a_run_is_expected_to_be_what_is_trained(write, found, tmp_path):
         preset = presets[run.method.name]
         if trained["training_exposures"] != list(preset.training_exposures):
             changed.append("training_exposures")
-        if trained["densify"]["budget"] != preset.densify.budget:
-            changed.append("densify.budget")
+        if trained["backbone"]["budget"] != preset.backbone.budget:
+            changed.append("backbone.budget")
     assert set(changed) == ({found} if found else set())
 
 
@@ -69,4 +69,4 @@ def test_of_data_that_cannot_be_read_the_training_says_so_not_the_plan(tmp_path)
     content = {"methods": ["default"], "scenes": [str(tmp_path / "data")], "budgets": ["iterations=1"]}
     plan = make_plan(content, tmp_path)
     (config,) = configurations(plan, {"default": configuration(plan, "default")}, tmp_path).values()
-    assert config["densify"]["budget"] == configuration(plan, "default").densify.budget
+    assert config["backbone"]["budget"] == configuration(plan, "default").backbone.budget

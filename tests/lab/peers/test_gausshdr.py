@@ -12,13 +12,13 @@ import torch
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels import ssim_map_reference
 from physhdr.backend.methods.base import Batch, Facts, Recording
-from physhdr.backend.methods.registry import new_method
 from physhdr.backend.model.backbone import Start
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.backbones import new_method
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
@@ -243,7 +243,7 @@ def test_a_level_scales_as_an_exposure(camera):
 def test_from_where_no_anchor_is_seen_nothing_is_developed(camera):
     """All Gaussians of the backbone may be out of sight, in training too; each of their tensors is empty."""
     config = PRESETS["gausshdr-scaffold"]
-    method = new_method(config.method, config.anchors, Facts(ANCHOR, "cpu"))
+    method = new_method(config.method, config.backbone, Facts(ANCHOR, "cpu"))
     behind = np.random.default_rng(5).uniform(-0.6, 0.6, (30, 3)) + [0.0, 0.0, 9.0]
     method.backbone.place(behind, np.zeros((30, 3)), Start())
     assert method.hdr(camera).max() == 0.0
@@ -300,11 +300,11 @@ def test_the_published_rates_and_parts():
 def short(**changes):
     config = PRESETS["gausshdr"]
     density = dataclasses.replace(
-        config.densify, start=5, every=10, stop=0.8, threshold=1e-5, reset_every=25, prune_scale=10.0
+        config.backbone, start=5, every=10, stop=0.8, threshold=1e-5, reset_every=25, prune_scale=10.0
     )
     mapper = dataclasses.replace(config.method.tone_mapper, warm_start_steps=50)
     method = dataclasses.replace(config.method, global_until=0.5, tone_mapper=mapper)
-    return dataclasses.replace(config, iterations=40, densify=density, method=method, **changes)
+    return dataclasses.replace(config, iterations=40, backbone=density, method=method, **changes)
 
 
 def test_it_goes_on_bit_identically_across_the_switch_to_local_curves(tiny_data, tmp_path):
@@ -330,7 +330,7 @@ def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     config = PRESETS["gausshdr-short"]
     config = dataclasses.replace(
-        config, iterations=250, sh_degree_every=1000, densify=dataclasses.replace(config.densify, stop=0.0)
+        config, iterations=250, sh_degree_every=1000, backbone=dataclasses.replace(config.backbone, stop=0.0)
     )
     trainer = Trainer(scene, config)
     before = evaluate(trainer.method, scene)

@@ -241,7 +241,7 @@ def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
         config,
         iterations=400,
         sh_degree_every=1000,
-        densify=dataclasses.replace(config.densify, stop=0.0),
+        backbone=dataclasses.replace(config.backbone, stop=0.0),
         # The literal start; at their published rate the networks would learn little of the response in so few
         # iterations.
         method=PRESETS["hdr-gs"].method,

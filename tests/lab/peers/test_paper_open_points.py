@@ -11,24 +11,26 @@ from scipy.ndimage import gaussian_filter1d
 
 from physhdr.backend.cli import main
 from physhdr.backend.methods.base import Facts
-from physhdr.backend.methods.registry import new_method
-from physhdr.backend.model.anchors import AnchorsConfig
-from physhdr.backend.model.backbone import Start
+from physhdr.backend.model.backbone import BackboneConfig, Start
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.runs.views import write_views
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.backbones import new_method
 from physhdr.backend.train.config import read_config, write_config
+from physhdr.backend.train.densify import GaussiansConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.model_file import read_model
+from physhdr.lab.anchors.config import AnchorsConfig
 from physhdr.lab.peers.paper import PaperConfig, PaperPhysHDR
 from physhdr.lab.peers.paper_losses import PaperLossConfig, consistency_loss
 
 T = 2.0
 PAPER = PRESETS["paper"].method
+GAUSSIANS = GaussiansConfig()
 
 
 def camera() -> Camera:
@@ -37,11 +39,11 @@ def camera() -> Camera:
     return Camera.from_field_of_view(pose, 24, 20, 0.8)
 
 
-def make(anchors: AnchorsConfig | None = None, trained: bool = True, **changes) -> PaperPhysHDR:
+def make(backbone: BackboneConfig = GAUSSIANS, trained: bool = True, **changes) -> PaperPhysHDR:
     """The paper's method in float64 on 30 Gaussians; ``trained``: nothing is where it started."""
     torch.manual_seed(2)
     config = dataclasses.replace(PAPER, **changes)
-    method = new_method(config, anchors, Facts((1.0, 0.73), "reference"))
+    method = new_method(config, backbone, Facts((1.0, 0.73), "reference"))
     rng = np.random.default_rng(5)
     start = Start(opacity=0.6)
     method.backbone.place(rng.uniform(-0.6, 0.6, (30, 3)), rng.uniform(-1.5, 0.5, (30, 3)), start)
@@ -244,21 +246,22 @@ SWITCHES = {
     "--method.loss.consistency-stop-gradient": "illumination",
     "--method.loss.dssim-weight": "0.5",
 }
-OF_GAUSSIANS = ["--method.direction-gradient"]
+OF_GAUSSIANS = ["--method.direction-gradient", "--backbone.start", "3"]
 
 
 @pytest.mark.parametrize(("preset", "more"), [("paper-short", OF_GAUSSIANS), ("paper-scaffold-short", [])])
 def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny_data, tmp_path):
     run, whole = tmp_path / "run", tmp_path / "whole"
     options = [word for pair in SWITCHES.items() for word in pair] + more
-    options += ["--preset", preset, "--iterations", "12", "--densify.start", "3", "--densify.every", "5"]
+    options += ["--preset", preset, "--iterations", "12", "--backbone.every", "5"]
     assert main(["train", str(tiny_data), "--out", str(whole), *options]) == 0
     config = read_config(whole / "config.json").config
     method = config.method
     assert (method.illumination_channels, method.deviation_domain) == (3, "log")
     assert method.growth_gradient == "image-exposure"
     assert method.loss.consistency_stop_gradient == "illumination" and method.loss.dssim_weight == 0.5
-    assert method.direction_gradient == (config.anchors is None)
+    on_gaussians = config.backbone.name == "gaussians"
+    assert method.direction_gradient == on_gaussians
     # Stopped and resumed it is the same, to the bit: the checkpoint holds three channels.
     run.mkdir()
     write_config(run / "config.json", config, tiny_data, preset)
@@ -273,7 +276,7 @@ def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny
     assert main(["export", str(whole), "--data", str(tiny_data)]) == 0
     model = read_model(whole / "model.safetensors")
     assert model.count > 20
-    if config.anchors is None:
+    if on_gaussians:
         # Three channels that are not one, and a model file with the radiance that the method makes of them.
         light = first.backbone.log_illumination.detach()
         assert light.shape[1] == 3 and (light[:, 0] - light[:, 1]).abs().max() > 1e-4
@@ -292,8 +295,8 @@ BEFORE = {"paper": (2.016715, 0.785076, 479), "paper-short": (2.310477, 0.811446
 
 @pytest.mark.parametrize("preset", BEFORE)
 def test_without_them_a_training_is_what_it_was(preset, tiny_data):
-    growth = dataclasses.replace(PRESETS[preset].densify, start=4, every=6, stop=0.9)
-    config = dataclasses.replace(PRESETS[preset], iterations=24, sh_degree_every=4, densify=growth)
+    growth = dataclasses.replace(PRESETS[preset].backbone, start=4, every=6, stop=0.9)
+    config = dataclasses.replace(PRESETS[preset], iterations=24, sh_degree_every=4, backbone=growth)
     trainer = Trainer(read_scene(tiny_data), config)
     losses = [torch.stack(list(trainer.step().values())).sum().item() for _ in range(24)]
     early, grown, count = BEFORE[preset]

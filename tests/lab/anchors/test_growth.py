@@ -10,22 +10,22 @@ import torch
 from physhdr.backend.evaluate.metrics import psnr
 from physhdr.backend.methods.base import Drawn, Facts
 from physhdr.backend.methods.physhdr import PhysHDR
-from physhdr.backend.model.anchors import AnchorGrowthConfig, Anchors, AnchorsConfig, AnchorSplats
 from physhdr.backend.model.backbone import Attributes, Start
 from physhdr.backend.model.morton import morton_order
 from physhdr.backend.rasterize.contract import Rasterization
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.hdr_nerf_syn import read_scene
-from physhdr.backend.train.anchor_growth import AnchorStatistics, grow_and_prune, grown, observe
 from physhdr.backend.train.growth import NoGaussiansLeftError
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
+from physhdr.lab.anchors.backbone import Anchors, AnchorSplats
+from physhdr.lab.anchors.config import AnchorsConfig
+from physhdr.lab.anchors.growth import AnchorStatistics, grow_and_prune, grown, observe
 
 K = 2
 #: Voxels of 1 m: cells of 16, 4 and 1 m.
-CONFIG = AnchorsConfig(offsets=K, feature_size=4, voxel_size=1.0)
-GROWTH = AnchorGrowthConfig(threshold=1.0)
+CONFIG = AnchorsConfig(offsets=K, feature_size=4, voxel_size=1.0, threshold=1.0)
 
 
 def make(config: AnchorsConfig = CONFIG) -> tuple[Anchors, Optimiser]:
@@ -58,7 +58,7 @@ def gradients(anchors: Anchors, *values: float) -> AnchorStatistics:
     return state
 
 
-def always(config: AnchorGrowthConfig = GROWTH, **changes) -> AnchorGrowthConfig:
+def always(config: AnchorsConfig = CONFIG, **changes) -> AnchorsConfig:
     return dataclasses.replace(config, **changes)
 
 
@@ -80,7 +80,7 @@ def test_a_candidate_makes_an_anchor_in_its_cell_at_every_level_that_it_deserves
     gradient = torch.zeros(8)
     gradient[index * K] = 2.5
     eligible = torch.ones(8, dtype=torch.bool)
-    new = grown(anchors, gradient, eligible, GROWTH, DICE)
+    new = grown(anchors, gradient, eligible, CONFIG, DICE)
     # Cells of 16 m: round(37/16) = 2, round(5/16) = 0. Of 4 m: round(9.25) = 9, round(1.25) = 1.
     assert new.positions.tolist() == [[32.0, 0.0, 0.0], [36.0, 4.0, 0.0]]
     assert new.cell.tolist() == [16.0, 4.0]
@@ -88,18 +88,18 @@ def test_a_candidate_makes_an_anchor_in_its_cell_at_every_level_that_it_deserves
     assert torch.equal(new.features, anchors.parameters["features"].detach()[[index, index]])
     for gradient_value, count in ((0.9, 0), (1.5, 1), (4.5, 3)):
         gradient[index * K] = gradient_value
-        assert len(grown(anchors, gradient, eligible, GROWTH, DICE).cell) == count
-    assert len(grown(anchors, gradient, ~eligible, GROWTH, DICE).cell) == 0
+        assert len(grown(anchors, gradient, eligible, CONFIG, DICE).cell) == count
+    assert len(grown(anchors, gradient, ~eligible, CONFIG, DICE).cell) == 0
 
 
 def test_cells_that_have_an_anchor_stay_as_they_are(everyone_passes):
     """Gaussians on their anchors: the coarsest level adds nothing, so the finer ones are not asked."""
     anchors, _ = make()
     eligible = torch.ones(8, dtype=torch.bool)
-    assert len(grown(anchors, torch.full((8,), 100.0), eligible, GROWTH, DICE).cell) == 0
+    assert len(grown(anchors, torch.full((8,), 100.0), eligible, CONFIG, DICE).cell) == 0
     with torch.no_grad():
         anchors.parameters["offsets"][:, 0, 0] = 3.0  # in the anchor's cell of 16 m, not in that of 4 m
-    assert len(grown(anchors, torch.full((8,), 100.0), eligible, GROWTH, DICE).cell) == 0
+    assert len(grown(anchors, torch.full((8,), 100.0), eligible, CONFIG, DICE).cell) == 0
     two_levels = always(coarsest=4, levels=2)
     new = grown(anchors, torch.full((8,), 100.0), eligible, two_levels, DICE)
     assert new.cell.tolist() == [4.0] * 4 + [1.0] * 4
@@ -116,7 +116,7 @@ def test_candidates_in_one_cell_share_an_anchor_with_the_largest_features(everyo
         anchors.parameters["features"][[1, 3]] = -5.0
     gradient = torch.zeros(8)
     gradient[0::2] = torch.tensor([1.2, 1.1, 1.9, 1.3])
-    new = grown(anchors, gradient, torch.ones(8, dtype=torch.bool), GROWTH, DICE)
+    new = grown(anchors, gradient, torch.ones(8, dtype=torch.bool), CONFIG, DICE)
     assert new.positions.tolist() == [[80.0, 80.0, 0.0]]
     assert new.features.tolist() == [[9.0, 5.0, 0.0, 30.0]]
     assert new.parents.tolist() == [2]  # the largest gradient
@@ -130,7 +130,7 @@ def test_candidates_pass_by_chance_with_1_minus_a_half_to_the_level():
         spread = torch.arange(10_000.0).reshape(4, 2500)
         anchors.parameters["offsets"][..., 2] = 160.0 * (spread + 1.0)
     eligible = torch.ones(10_000, dtype=torch.bool)
-    new = grown(anchors, torch.full((10_000,), 8.0), eligible, GROWTH, torch.Generator().manual_seed(0))
+    new = grown(anchors, torch.full((10_000,), 8.0), eligible, CONFIG, torch.Generator().manual_seed(0))
     counts = [int((new.cell == cell).sum()) for cell in (16.0, 4.0, 1.0)]
     # A finer level adds where the coarser ones have put none: 160 m are multiples of all cells.
     assert counts[0] / 10_000 == pytest.approx(0.5, abs=0.02)
@@ -160,7 +160,7 @@ def test_new_anchors_pruned_ones_and_the_moments(everyone_passes):
     state.gradient_sum[4:] = 7.0
     state.visits += torch.tensor([90.0, 90.0, 90.0, 10.0])
     state.opacity_sum += torch.tensor([9.0, 0.4, 0.5, 0.0])  # the second one's mean is below 0.005
-    state = grow_and_prune(anchors, optimiser, state, GROWTH, DICE)
+    state = grow_and_prune(anchors, optimiser, state, CONFIG, DICE)
 
     p = anchors.parameters
     assert len(anchors) == 4 == len(state.visits) and len(state.draws) == 8
@@ -192,7 +192,7 @@ def test_anchors_that_would_all_go_stay_and_it_is_said(everyone_passes):
     state = gradients(anchors, 0.0)
     state.visits += 90.0
     with pytest.raises(NoGaussiansLeftError, match=f"all {len(anchors)} anchors"):
-        grow_and_prune(anchors, optimiser, state, GROWTH, DICE)
+        grow_and_prune(anchors, optimiser, state, CONFIG, DICE)
     assert all(torch.equal(before[name], tensor) for name, tensor in anchors.parameters.items())
 
 
@@ -211,7 +211,7 @@ def test_statistics_are_means_in_ndc_of_what_was_drawn():
     camera = Camera.from_field_of_view(np.eye(4), 40, 20, 0.9)
     gradient = torch.tensor([[0.3, 0.8], [1.0, 1.0]])
     for _ in range(2):
-        observe(state, gradient, Drawn(splats, image), camera, GROWTH)
+        observe(state, gradient, Drawn(splats, image), camera, CONFIG)
     # Half the width is 20 pixels, half the height 10: |(6, 8)| = 10. The second was not on the screen.
     assert state.gradient_sum.tolist() == pytest.approx([0, 0, 0, 0, 20.0, 0, 0, 0])
     assert state.draws.tolist() == [0, 0, 0, 0, 2.0, 0, 0, 0]
@@ -225,7 +225,7 @@ def test_statistics_are_means_in_ndc_of_what_was_drawn():
 
 # -- a training ---------------------------------------------------------------------------------------------
 
-SHORT = AnchorGrowthConfig(every=40, stop=0.7, threshold=1e-4, seen_share=0.2)
+SHORT = AnchorsConfig(offsets=4, every=40, stop=0.7, threshold=1e-4, seen_share=0.2)
 
 
 def short_training(tiny_data, resumed=None) -> Trainer:
@@ -233,7 +233,7 @@ def short_training(tiny_data, resumed=None) -> Trainer:
         PRESETS["default"],
         iterations=200,
         half_size_until=0.0,
-        anchors=AnchorsConfig(offsets=4, growth=SHORT),
+        backbone=SHORT,
     )
     return Trainer(read_scene(tiny_data), config, resumed=resumed)
 

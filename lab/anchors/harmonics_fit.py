@@ -3,7 +3,7 @@
 
 import torch
 
-from ..kernels.spherical_harmonics import Y0, evaluate_sh_reference
+from ...backend.kernels.spherical_harmonics import Y0, evaluate_sh_reference
 
 #: Ridge on the directional coefficients, against the mean square of a view's basis (0.08 each).
 RIDGE = 1e-3

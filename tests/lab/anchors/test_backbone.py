@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.model.anchors import Anchors, AnchorsConfig
 from physhdr.backend.model.backbone import Attributes, Start
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError
+from physhdr.lab.anchors.backbone import Anchors
+from physhdr.lab.anchors.config import AnchorsConfig
 
 K = 3
 CONFIG = AnchorsConfig(offsets=K, voxel_size=0.05)

@@ -12,21 +12,19 @@ import numpy as np
 import torch
 from torch import nn
 
+from ...backend.model.backbone import Attributes, Backbone, Splats, Start
+from ...backend.model.gaussians import Gaussians
+from ...backend.model.morton import morton_order
+from ...backend.model.rates import Rate
+from ...backend.scene.camera import Camera
+from ...backend.scene.resident import camera_tensors
 from ...bridge.errors import BadValueError
 from ...bridge.spherical_harmonics import fibonacci_sphere
 from ...bridge.splatting import LOW_PASS, NEAR_PLANE
-from ..scene.camera import Camera
-from ..scene.resident import camera_tensors
-from .anchor_networks import DIRECTION, Head, run_heads
-from .backbone import Attributes, Backbone, Splats, Start
-from .gaussians import Gaussians
+from .config import VOXELS_PER_SPACING, AnchorsConfig
 from .harmonics_fit import HarmonicsFit
-from .morton import morton_order
-from .rates import Rate
+from .networks import DIRECTION, Head, run_heads
 
-#: A voxel for the growth is the neighbours' distance over this, where none is given: the coarsest of
-#: Scaffold-GS's three cells (16 voxels) then is as large as the distance to the neighbours.
-VOXELS_PER_SPACING = 16
 #: Splats reach this many standard deviations; beyond it an anchor's ellipsoid does not count as seen.
 REACH = 3.0
 #: ln of the largest size of an anchor's Gaussians (Scaffold-GS, in the units of its reconstructions; ours are
@@ -43,104 +41,6 @@ FIXED_AT_ONCE = 4096
 LEAST_WEIGHT = 1e-3
 #: Opacities are kept this far from 0 and 1, where their logits end.
 OPACITY_MARGIN = 1e-4
-
-
-@dataclass(frozen=True, kw_only=True)
-class AnchorGrowthConfig:
-    """When and where anchors are added and removed. Defaults: Scaffold-GS's; when, as shares of its 30,000.
-
-    In a shorter training everything begins and ends earlier, or nothing would happen in it.
-    """
-
-    #: Statistics are gathered from this share of the training on (from iteration 500), …
-    observe_from: float = 500 / 30_000
-    #: … anchors added and removed after this one (1500), every so many iterations, …
-    start: float = 1500 / 30_000
-    every: int = 100
-    #: … and both end at this one (15,000).
-    stop: float = 0.5
-    #: τ: mean norm of ∂L/∂(NDC position) of a neural Gaussian; doubled from each level to the next finer.
-    threshold: float = 2e-4
-    #: Cells of a level, in voxels: from the coarsest, each a ``refinement`` finer.
-    levels: int = 3
-    coarsest: int = 16
-    refinement: int = 4
-    #: A Gaussian counts when it was drawn in half of this share of ``every`` iterations; an anchor is judged
-    #: after it was seen in all of it.
-    seen_share: float = 0.8
-    #: Anchors whose Gaussians have less opacity than this in sum, on average, go.
-    prune_opacity: float = 0.005
-    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (the paper's eq. 17), times the gradient; 0: off.
-    scaling_strength: float = 0.0
-    #: Never more Gaussians (anchors × offsets) than this; the largest gradients come first. 0: no bound.
-    budget: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class AnchorRates:
-    """Learning rates, Scaffold-GS's; those with an end go there exponentially. Anchors never move."""
-
-    #: Times the scene's extent.
-    offsets: float = 0.01
-    offsets_final: float = 1e-4
-    features: float = 0.0075
-    log_scaling: float = 0.007
-    #: Ours; as 3DGS's constant coefficient, in ln radiance.
-    base_log_radiance: float = 0.0025
-    opacity: float = 0.002
-    opacity_final: float = 2e-5
-    covariance: float = 0.004
-    #: Also of the heads that Scaffold-GS does not have: illumination, shares of light, context.
-    colour: float = 0.008
-    colour_final: float = 5e-5
-
-    def __post_init__(self) -> None:
-        self.by_group()  # refuses rates that cannot be
-
-    def by_group(self) -> dict[str, Rate]:
-        """A rate for each parameter and each network of ``Anchors``."""
-        colour = Rate(start=self.colour, final=self.colour_final, shape="exponential")
-        return {
-            "anchors": Rate(start=0.0),
-            "offsets": Rate(
-                start=self.offsets, final=self.offsets_final, shape="exponential", of_extent=True
-            ),
-            "features": Rate(start=self.features),
-            "log_scaling": Rate(start=self.log_scaling),
-            "base_log_radiance": Rate(start=self.base_log_radiance),
-            "opacity": Rate(start=self.opacity, final=self.opacity_final, shape="exponential"),
-            "covariance": Rate(start=self.covariance),
-            "colour": colour,
-            "illumination": colour,
-            "light_share": colour,
-            "context": colour,
-        }
-
-
-@dataclass(frozen=True, kw_only=True)
-class AnchorsConfig:
-    """Sizes of the backbone, its rates and its growth."""
-
-    #: k: Gaussians of an anchor.
-    offsets: int = 10
-    feature_size: int = 32
-    hidden: int = 32
-    #: ε, metres: the unit of placement and growth. Scaffold-GS's 0.001 is in the units of each scene's own
-    #: reconstruction, ours are metres: 0 takes the median distance to the neighbours over 16.
-    voxel_size: float = 0.0
-    #: One anchor for all points in a cell of this many voxels (Scaffold-GS: 1); more: fewer anchors.
-    placement: int = 1
-    #: Start from the brackets' radiance, one ln value a channel and anchor beside what the network says.
-    #: Off: the network alone (Scaffold-GS, GaussHDR), which starts near 1.
-    base_radiance: bool = True
-    #: λ of λ · mean(volume of the drawn Gaussians), in metres cubed.
-    volume_weight: float = 0.01
-    rates: AnchorRates = field(default_factory=AnchorRates)
-    growth: AnchorGrowthConfig = field(default_factory=AnchorGrowthConfig)
-
-    def __post_init__(self) -> None:
-        if self.offsets < 1 or self.placement < 1:
-            raise BadValueError("an anchor needs at least one Gaussian, and a cell at least one voxel")
 
 
 @dataclass(frozen=True)
@@ -438,7 +338,7 @@ def _neighbour_distance(points: np.ndarray) -> np.ndarray:
     if len(points) < 4:
         raise BadValueError(
             f"{len(points)} initial points or cells are too few to start from",
-            "Give the data set a points3d.ply with more points, lower --anchors.voxel-size, or train with "
+            "Give the data set a points3d.ply with more points, lower --backbone.voxel-size, or train with "
             "--initial-points random.",
         )
     from scipy.spatial import KDTree  # here, because only this needs SciPy

@@ -6,21 +6,19 @@ none, on three levels: the finer the cell, the larger the gradient must be. Anch
 transparent go. Functions over an explicit state, as ``densify``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from ...bridge.errors import BadValueError
-from ..methods.base import Drawn, Method
-from ..model.anchors import LARGEST_LOG_SCALE, AnchorGrowthConfig, Anchors, AnchorSplats
-from ..model.morton import morton_order
-from ..scene.camera import Camera
-from ..scene.resident import camera_tensors
-from .densify import gradient_scaling
-from .growth import Growth, NoGaussiansLeftError
-from .optimisers import Optimiser
+from ...backend.methods.base import Drawn, Method
+from ...backend.model.morton import morton_order
+from ...backend.scene.camera import Camera
+from ...backend.train.growth import Growth, NoGaussiansLeftError, gradient_norm
+from ...backend.train.optimisers import Optimiser
+from .backbone import LARGEST_LOG_SCALE, Anchors, AnchorSplats
+from .config import AnchorsConfig
 
 
 @dataclass
@@ -61,17 +59,13 @@ def observe(
     screen_gradient: torch.Tensor,
     drawn: Drawn,
     camera: Camera,
-    config: AnchorGrowthConfig,
+    config: AnchorsConfig,
 ) -> None:
     """Add one view's screen gradient ``[M, 2]`` (per pixel), in NDC, and the opacities to the statistics."""
     splats = drawn.splats
     assert isinstance(splats, AnchorSplats)
     k = state.draws.shape[0] // state.visits.shape[0]
-    norm = torch.linalg.vector_norm(
-        screen_gradient * camera_tensors(camera, screen_gradient).half_size, dim=1
-    )
-    if config.scaling_strength and drawn.illumination_deviation is not None:
-        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
+    norm = gradient_norm(screen_gradient, drawn, camera, config)
     on_screen = drawn.rasterization.radii > 0
     row = splats.drawn.div(k, rounding_mode="floor")
     gaussian = splats.seen.index_select(0, row) * k + splats.drawn - row * k
@@ -86,7 +80,7 @@ def grown(
     anchors: Anchors,
     gradient: torch.Tensor,
     eligible: torch.Tensor,
-    config: AnchorGrowthConfig,
+    config: AnchorsConfig,
     generator: torch.Generator,
 ) -> NewAnchors:
     """New anchors for the Gaussians that need them; ``gradient`` and ``eligible`` ``[N·k]``.
@@ -166,7 +160,7 @@ def grow_and_prune(
     anchors: Anchors,
     optimiser: Optimiser,
     state: AnchorStatistics,
-    config: AnchorGrowthConfig,
+    config: AnchorsConfig,
     generator: torch.Generator,
 ) -> AnchorStatistics:
     """Both in one resampling, which also sorts by place (``morton``). Returns the statistics that go on.
@@ -189,7 +183,7 @@ def grow_and_prune(
     if not len(source):
         raise NoGaussiansLeftError(
             f"pruning would remove all {count:,} anchors: what they draw is nearly transparent",
-            "Train again with a smaller --anchors.growth.prune-opacity. What was saved before is untouched.",
+            "Train again with a smaller --backbone.prune-opacity. What was saved before is untouched.",
         )
     positions = torch.cat([anchors.positions.detach()[~pruned], new.positions])
     order = morton_order(positions)
@@ -216,18 +210,23 @@ def grow_and_prune(
 
 
 class AnchorGrowth(Growth):
-    """The strategy bound to one training. ``seed``: of the candidates that are kept.
+    """The strategy bound to one training of a method on anchors. ``seed``: of the candidates that are kept.
 
-    Raises ``BadValueError`` where the method's backbone is not anchors.
+    No anchor is removed before a camera: ``cameras`` and ``clearance`` are ``GaussianGrowth``'s.
     """
 
-    def __init__(self, method: Method, optimiser: Optimiser, iterations: int, seed: tuple[int, ...]) -> None:
-        if not isinstance(method.backbone, Anchors):
-            raise BadValueError(
-                "only anchors can grow as Scaffold-GS's do", "Take a preset whose name has '-scaffold'."
-            )
-        self.anchors, self.optimiser = method.backbone, optimiser
-        self.config = method.backbone.config.growth
+    def __init__(
+        self,
+        method: Method,
+        optimiser: Optimiser,
+        config: AnchorsConfig,
+        iterations: int,
+        seed: tuple[int, ...],
+        cameras: Sequence[Camera] = (),
+        clearance: torch.Tensor | None = None,
+    ) -> None:
+        assert isinstance(method.backbone, Anchors)
+        self.anchors, self.optimiser, self.config = method.backbone, optimiser, config
         self.iterations, self.seed = iterations, seed
         self.statistics = AnchorStatistics.empty(self.anchors)
 
