@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera with the faults of a real one, each an option that is off by default (docs/photos.md#faults-of-a-rendered-camera).
+"""A camera with the faults of a real one, each an option that is off by default.
+
+In docs: docs/photos.md#faults-of-a-rendered-camera.
 
 What the light passes through, in this order; x is exposure × radiance, each channel by itself:
 

@@ -2,8 +2,8 @@
 """What is put where the computation is once, and then stays there: cameras and pictures.
 
 A copy from ordinary host memory to a CUDA card makes the host wait for the card. An iteration must not do
-that, or the card idles while the host prepares the next one (docs/performance.md): matrices and pictures are copied
-at their first use and kept.
+that, or the card idles while the host prepares the next one (docs/performance.md): matrices and pictures
+are copied at their first use and kept.
 """
 
 import weakref

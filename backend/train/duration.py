@@ -3,7 +3,8 @@
 
 They are done on a copy of everything that an iteration changes, at half and at full size, with as many
 Gaussians as there are at first and as many as there will be in the end, and thrown away. An iteration costs
-c + g · (Gaussians) at either size; growth is taken to be even. docs/performance.md says how far this is right.
+c + g · (Gaussians) at either size; growth is taken to be even. docs/performance.md says how far this is
+right.
 """
 
 import copy

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How long a training is said to take: by a clock that is made up, and that saying it changes nothing.
 
-Against real trainings it is measured (docs/performance.md), not tested: a test's machine has other things to do.
+Against real trainings it is measured (docs/performance.md), not tested: a test's machine is busy.
 """
 
 import dataclasses

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sizes follow from the data by the rule that docs/performance.md states; what is typed wins; renders stay."""
+"""Sizes follow from the data by the rule in docs/performance.md; what is typed wins; renders stay."""
 
 import dataclasses
 import importlib.util
@@ -24,7 +24,7 @@ LARGE = dataclasses.replace(RENDERS, pixels=1600 * 1067, views=50, points=0)
 
 
 def documented() -> list[tuple[str, ...]]:
-    """The rows of the table of docs/performance.md: width, height, views, points, and what ``default`` gets."""
+    """The rows of docs/performance.md's table: width, height, views, points, and what ``default`` gets."""
     row = re.compile(r"\| (\d+)×(\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| (\d+) % \|")
     return [tuple(cell.replace(",", "") for cell in row.groups()) for row in row.finditer(DOCS.read_text())]
 
