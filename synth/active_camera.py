@@ -17,7 +17,7 @@ _ASKS, _GIVES = "GeometryNodeInputActiveCamera", "GeometryNodeInputObject"
 
 
 @contextmanager
-def kept(
+def replaced(
     scene: bpy.types.Scene, layer: bpy.types.ViewLayer, camera: bpy.types.Object, report: Report
 ) -> Iterator[None]:
     """Put ``camera`` in place of the active one in all geometry nodes; put back on the way out.
@@ -46,13 +46,13 @@ def _nodes(tree: bpy.types.NodeTree) -> list[bpy.types.Node]:
 def _replace(
     tree: bpy.types.NodeTree, node: bpy.types.Node, camera: bpy.types.Object, undo: ExitStack
 ) -> None:
-    given: Any = tree.nodes.new(_GIVES)
-    given.object = camera
-    undo.callback(tree.nodes.remove, given)
+    camera_node: Any = tree.nodes.new(_GIVES)
+    camera_node.object = camera
+    undo.callback(tree.nodes.remove, camera_node)
     links: Any = node.outputs[0].links
     for link in [link for link in links if not link.is_muted]:
         asked, into = link.from_socket, link.to_socket
-        tree.links.new(given.outputs[0], into)
+        tree.links.new(camera_node.outputs[0], into)
         undo.callback(tree.links.new, asked, into)
 
 

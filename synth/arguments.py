@@ -24,7 +24,7 @@ _DEFAULT = Options()
 
 
 class _Formatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Tells defaults, but for those that the help tells in words, and where there is none."""
+    """Shows defaults, except those that the help describes in words, and where there is none."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         if action.default in (None, "") or "(default" in (action.help or ""):
@@ -213,7 +213,7 @@ def _add_own_rig(made: argparse.ArgumentParser) -> None:
 
 
 def _add_work(made: argparse.ArgumentParser) -> None:
-    """With what it is rendered, and how the progress is told."""
+    """With what it is rendered, and how the progress is reported."""
     add = made.add_argument
     add("--device", default=_DEFAULT.device, help=f"one of: {', '.join(DEVICES)}")
     add(
@@ -241,57 +241,57 @@ def _add_work(made: argparse.ArgumentParser) -> None:
     add(
         "--progress-json",
         action="store_true",
-        help="tell the progress as one JSON object a line, for programs",
+        help="report the progress as one JSON object per line, for programs",
     )
     add(
         "--denoise", action=argparse.BooleanOptionalAction, default=_DEFAULT.denoise, help="denoise with OIDN"
     )
 
 
-def options(given: argparse.Namespace) -> Options:
+def options(args: argparse.Namespace) -> Options:
     """The options that a parsed command line means; not checked yet.
 
     Raises:
         OptionError: a text is no number, or no size.
     """
     exposures = None
-    if given.exposures is not None:
-        exposures = parse_numbers("--exposures", given.exposures)
-    elif given.evs is not None:
-        exposures = parse_evs(given.evs)
+    if args.exposures is not None:
+        exposures = parse_numbers("--exposures", args.exposures)
+    elif args.evs is not None:
+        exposures = parse_evs(args.evs)
     return Options(
-        resolution=parse_resolution(given.resolution, follow=given.from_file is not None),
-        samples=given.samples,
-        test_samples=given.test_samples,
-        reference_samples=given.reference_samples,
-        test_truth=given.test_truth,
-        renders_of=given.renders_of,
-        noise_threshold=given.noise_threshold,
-        views=given.views,
-        validation_views=given.validation_views,
+        resolution=parse_resolution(args.resolution, follow=args.from_file is not None),
+        samples=args.samples,
+        test_samples=args.test_samples,
+        reference_samples=args.reference_samples,
+        test_truth=args.test_truth,
+        renders_of=args.renders_of,
+        noise_threshold=args.noise_threshold,
+        views=args.views,
+        validation_views=args.validation_views,
         exposures=exposures,
-        crf=given.crf,
-        seed=given.seed,
-        ambient_levels=parse_numbers("--ambient-levels", given.ambient_levels),
-        relit_views=given.relit_views,
-        mixed_levels=None if given.mixed_levels is None else parse_mixtures(given.mixed_levels),
-        lit_levels=parse_numbers("--train-ambient-levels", given.lit_levels),
-        lit_views=given.lit_views,
-        lit_lights=parse_names(given.lit_lights),
-        camera_rig=given.camera_rig,
-        denoise=given.denoise,
-        device=given.device,
-        workers=given.workers,
-        threads=given.threads,
-        part=None if given.part is None else parse_part(given.part),
-        camera=camera_model.from_arguments(given),
-        assets=given.assets,
-        from_file=given.from_file,
-        allow_scripts=given.allow_scripts,
-        scene_name=given.scene_name,
-        light_choices=tuple(parse_light(text) for text in given.light),
-        rig_distance=given.rig_distance,
-        rig_extent=parse_pair("--rig-extent", given.rig_extent) if given.rig_extent else None,
-        rig_arc=given.rig_arc,
-        rig_elevation=parse_pair("--rig-elevation", given.rig_elevation) if given.rig_elevation else None,
+        crf=args.crf,
+        seed=args.seed,
+        ambient_levels=parse_numbers("--ambient-levels", args.ambient_levels),
+        relit_views=args.relit_views,
+        mixed_levels=None if args.mixed_levels is None else parse_mixtures(args.mixed_levels),
+        lit_levels=parse_numbers("--train-ambient-levels", args.lit_levels),
+        lit_views=args.lit_views,
+        lit_lights=parse_names(args.lit_lights),
+        camera_rig=args.camera_rig,
+        denoise=args.denoise,
+        device=args.device,
+        workers=args.workers,
+        threads=args.threads,
+        part=None if args.part is None else parse_part(args.part),
+        camera=camera_model.from_arguments(args),
+        assets=args.assets,
+        from_file=args.from_file,
+        allow_scripts=args.allow_scripts,
+        scene_name=args.scene_name,
+        light_choices=tuple(parse_light(text) for text in args.light),
+        rig_distance=args.rig_distance,
+        rig_extent=parse_pair("--rig-extent", args.rig_extent) if args.rig_extent else None,
+        rig_arc=args.rig_arc,
+        rig_elevation=parse_pair("--rig-elevation", args.rig_elevation) if args.rig_elevation else None,
     )

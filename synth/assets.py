@@ -55,7 +55,7 @@ class _Model:
     licence: str = ""
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         return f"{self.path.name}:{self.member}" if self.member else str(self.path)
 
 
@@ -103,7 +103,7 @@ class Assets:
             return
         items = _imported(model)
         _fit(items, room, foot, size, turn, fill)
-        self.used[kind] = model.told
+        self.used[kind] = model.label
 
     def _find(self, kind: str) -> _Model | None:
         wanted = [*CALLED.get(kind, ()), kind]
@@ -183,12 +183,12 @@ def _imported(model: _Model) -> list[bpy.types.Object]:
             _pack(set(bpy.data.images) - former[1])
     except (OSError, RuntimeError, zipfile.BadZipFile) as error:
         raise AssetError(
-            f"cannot read the model '{model.told}' ({str(error).strip()})",
+            f"cannot read the model '{model.label}' ({str(error).strip()})",
             "remove it from the folder, or leave out --assets",
         ) from error
     items = [item for item in bpy.data.objects if item not in former[0]]
     if not any(item.type == "MESH" and len(mesh_of(item).vertices) for item in items):
-        raise AssetError(f"the model '{model.told}' has no faces", "remove it, or leave out --assets")
+        raise AssetError(f"the model '{model.label}' has no faces", "remove it, or leave out --assets")
     # To Blender's axes, around the rotation that is stated in the model's.
     up = Matrix.Rotation(math.pi / 2, 4, "X")
     turned = up @ model.rotation @ up.inverted()

@@ -2,7 +2,7 @@
 """The built-in scenes by name. A new one is a module under ``synth/scenes`` with ``build`` and a line here.
 
 Eight are named after HDR-NeRF's synthetic scenes and composed in their spirit; ``interior`` is the demo's.
-A scene's module is imported when the scene is built, for the extension that users install has none of them.
+A scene's module is imported when the scene is built: the extension that users install has none of them.
 """
 
 import importlib

@@ -148,7 +148,7 @@ class CameraModel:
         return x if self.iso is None else noisy(x, self.iso, rng)
 
     def code(self, x: np.ndarray, response: Response, balance: np.ndarray | None = None) -> np.ndarray:
-        """Code values [H, W, 3] in 0…1 that the camera makes of what its sensor told."""
+        """Code values [H, W, 3] in 0…1 that the camera makes of what its sensor counted."""
         if balance is not None:
             x = x * balance
         if self.local_response:
@@ -240,9 +240,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def from_arguments(given: argparse.Namespace) -> CameraModel:
+def from_arguments(args: argparse.Namespace) -> CameraModel:
     """The camera that was asked for; not checked yet."""
-    return CameraModel(**{field.name: getattr(given, field.name) for field in fields(CameraModel)})
+    return CameraModel(**{field.name: getattr(args, field.name) for field in fields(CameraModel)})
 
 
 def _option(name: str) -> str:

@@ -99,15 +99,15 @@ def opened(root: Path) -> Capture:
     Raises:
         DamagedFileError: there is none, or its description cannot be read.
     """
-    told = folder.read_json(root / CAPTURE_FILE)
-    if (told.get("format"), told.get("version")) != (FORMAT, VERSION):
+    content = folder.read_json(root / CAPTURE_FILE)
+    if (content.get("format"), content.get("version")) != (FORMAT, VERSION):
         raise DamagedFileError(f"'{root / CAPTURE_FILE}' is not of a capture that this program rendered")
     try:
-        lens = Lens.described(told["lens"])
+        lens = Lens.described(content["lens"])
         places = tuple(
             Place(k, np.array(entry["camera_to_world"], np.float64).reshape(4, 4), bool(entry["test"]))
-            for k, entry in enumerate(told["places"])
+            for k, entry in enumerate(content["places"])
         )
-        return Capture(root, told["options"], lens, lens.straight, tuple(told["lights"]), places)
+        return Capture(root, content["options"], lens, lens.straight, tuple(content["lights"]), places)
     except (KeyError, TypeError, ValueError) as error:
         raise DamagedFileError(f"'{root / CAPTURE_FILE}' is damaged ({error!s:.200})") from error

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 import bpy
 
 from . import animation
-from .left_out import photographed
+from .own_objects import photographed
 from .progress import Report
 
 _CATCHES = "is_shadow_catcher"

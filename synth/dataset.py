@@ -19,7 +19,6 @@ from . import (
     device,
     floors,
     folder,
-    kept,
     objects,
     open_scene,
     passes,
@@ -29,6 +28,7 @@ from . import (
     reuse,
     rig,
     settings,
+    stored_truth,
 )
 from .assets import Assets
 from .built_in import SCENES, built
@@ -76,9 +76,9 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
         job = _job(out, stage, options, assets, report)
         if job.is_complete():
             (out / data_set.PARTIAL_FILE).unlink(missing_ok=True)  # of one killed between the two last steps
-            told = folder.read_json(out / data_set.INFO_FILE)
+            info = folder.read_json(out / data_set.INFO_FILE)
             report.say(f"data set {out}: complete already, nothing to do")
-            return _summary(out, told, report, began)
+            return _summary(out, info, report, began)
         users = bool(options.from_file)
         wanted = settings.ground_truth(
             options.resolution,
@@ -98,16 +98,16 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             if options.part:
                 report.say(f"data set {out}: part {options.part[0]} of {options.part[1]} is rendered")
                 return {"folder": str(out.absolute()), "part": list(options.part), "picture_seconds": took}
-            told = _finish(job, claims, camera, record, numbers, report)
-    floor, stops = told["noise_floor"], told["dynamic_range"]["stops"]
-    exposures = floor.get("exposures", told["exposures"])
+            info = _finish(job, claims, camera, record, numbers, report)
+    floor, stops = info["noise_floor"], info["dynamic_range"]["stops"]
+    exposures = floor.get("exposures", info["exposures"])
     report.say(f"noise floor {floor['psnr']} dB at {exposures} s, HDR {floor['hdr_psnr']} dB")
-    if reference := told.get("reference_floor"):
+    if reference := info.get("reference_floor"):
         dbs = f"{reference['psnr']} dB, HDR {reference['hdr_psnr']} dB"
         report.say(f"against {reference['samples']} samples without denoising {dbs}")
     report.say(f"dynamic range of the training views: {stops} stops")
     report.say(f"data set {out}: complete in {time.monotonic() - began:.0f} s")
-    return _summary(out, told, report, began)
+    return _summary(out, info, report, began)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class _Job:
     #: What an earlier run left in dataset.json or dataset.partial.json.
     state: dict[str, Any]
     assets: Assets
-    kept: kept.Kept | None
+    stored: stored_truth.StoredTruth | None
     renders: reuse.Renders | None
 
     @property
@@ -148,13 +148,13 @@ class _Job:
     @property
     def floors(self) -> dict[str, Any]:
         """Those that are known already."""
-        known = self.kept.floors if self.kept else {}
+        known = self.stored.floors if self.stored else {}
         return known | {key: self.state[key] for key in FLOORS if self.state.get(key)}
 
     def passes(self, shot: Shot) -> Passes:
-        if shot.kept:
-            assert self.kept is not None
-            return self.kept.passes(shot)
+        if shot.stored:
+            assert self.stored is not None
+            return self.stored.passes(shot)
         return passes.read(self.out / shot.passes, self.lights, self.options.resolution)
 
     def missing(self, piece: "Shot | floors.Chunk") -> bool:
@@ -180,17 +180,17 @@ def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Repo
         asked |= {"scene": stage.scene.name, folder.FINGERPRINT: stage.fingerprint}
     if options.assets:
         asked["assets"] = assets.used
-    held = kept.opened(Path(options.test_truth), asked) if options.test_truth else None
-    if held:
-        shots = held.shots(shots)
-        asked["test_truth"] = held.told["samples"]  # cleaner truth makes another data set
+    stored = stored_truth.opened(Path(options.test_truth), asked) if options.test_truth else None
+    if stored:
+        shots = stored.shots(shots)
+        asked["test_truth"] = stored.info["samples"]  # cleaner truth makes another data set
     maker = {**GENERATOR, "blender": bpy.app.version_string}
     state = folder.open_folder(out, asked, maker)
     head = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": maker, "options": asked}
     renders = reuse.opened(Path(options.renders_of), asked, maker) if options.renders_of else None
     derivation = Derivation(out, options, response)
-    job = _Job(out, options, stage, shots, derivation, head, state, assets, held, renders)
-    there = [shot for shot in job.ours if shot.kept or (out / shot.passes).exists()]
+    job = _Job(out, options, stage, shots, derivation, head, state, assets, stored, renders)
+    there = [shot for shot in job.ours if shot.stored or (out / shot.passes).exists()]
     for shot in there:
         job.passes(shot)  # whole, and of this scene
         job.derivation.check(shot)
@@ -253,9 +253,9 @@ def _make(job: _Job, shot: Shot | floors.Chunk, camera: Renderer) -> None:
         shot.make(camera)
         return
     path = job.out / shot.passes
-    if not shot.kept and not path.exists() and job.renders and job.renders.has(shot):
+    if not shot.stored and not path.exists() and job.renders and job.renders.has(shot):
         job.renders.copy(shot, job.out)
-    if shot.kept or path.exists():
+    if shot.stored or path.exists():
         rendered = job.passes(shot)
     else:
         rendered = _rendered(job, shot, shot.name, camera, folder.scratch(path))
@@ -314,8 +314,8 @@ def _finish(
             radiance,
         )
         content |= {**measured, "objects": numbers}
-        if job.kept:
-            content["test_samples"] = job.kept.told["samples"]
+        if job.stored:
+            content["test_samples"] = job.stored.info["samples"]
         if job.stage.source:
             content["source"] = {**job.stage.source, "warnings": report.warnings}
         else:

@@ -90,7 +90,7 @@ def content(
     the training views.
     """
     counts = {split: sum(shot.split == split for shot in shots) for split in data_set.SPLITS}
-    if not counts[data_set.VALIDATION]:  # the other three are told always
+    if not counts[data_set.VALIDATION]:  # the other three are always listed
         del counts[data_set.VALIDATION]
     low, high = radiance.percentile_1, radiance.maximum
     relit = next((shot.relit for shot in shots if shot.relit), ())
@@ -128,8 +128,8 @@ def content(
 
 
 def _frame(out: Path, shot: Shot, options: Options, lights: Sequence[str]) -> dict[str, Any]:
-    name = shot.hdr if shot.kept else shot.passes
+    name = shot.hdr if shot.stored else shot.passes
     entry = {"file": name, "sha256": hashlib.sha256((out / name).read_bytes()).hexdigest()}
-    if shot.kept:
+    if shot.stored:
         return {**entry, "kept": True}
     return {**entry, **passes.read(out / name, lights, options.resolution).facts}

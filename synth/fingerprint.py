@@ -20,8 +20,8 @@ import numpy as np
 
 from .blender import cycles, light_of, mesh_of
 from .composited import DRAWN
-from .left_out import photographed
 from .light_choice import Materials
+from .own_objects import photographed
 from .render_state import look
 from .settings import users_own
 

@@ -88,7 +88,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def read_told(folder: Path) -> dict[str, Any]:
+def read_description(folder: Path) -> dict[str, Any]:
     """``dataset.json`` of a data set, or what stands for it while it is being made.
 
     Raises:
@@ -135,24 +135,26 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
         )
     if state.get("generator") != maker:
         raise ConflictError(
-            f"'{folder}' was made by {_told(state.get('generator'))}, this is {_told(maker)}",
-            "go on with that one, or choose another folder (--out; nothing was changed)",
+            f"'{folder}' was made by {_maker_name(state.get('generator'))}, this is {_maker_name(maker)}",
+            "continue with that version, or choose another folder (--out; nothing was changed)",
         )
     earlier = state["options"]
     differing = [key for key in {**options, **earlier} if earlier.get(key) != options.get(key)]
     if differing:
-        told = [
+        differences = [
             f"{_shown(key)} is {_shown(earlier.get(key))} there, {options.get(key)} asked"
             for key in differing
         ]
         remedy = "choose another folder (--out), or delete that one (nothing was changed)"
         if differing == [FINGERPRINT]:
-            told = ["the scene, its lights or its camera have changed since"]
-        raise ConflictError(f"'{folder}' holds a data set made with other options: {'; '.join(told)}", remedy)
+            differences = ["the scene, its lights or its camera have changed since"]
+        raise ConflictError(
+            f"'{folder}' holds a data set made with other options: {'; '.join(differences)}", remedy
+        )
     return state
 
 
-def _told(maker: Any) -> str:
+def _maker_name(maker: Any) -> str:
     return _shown(", ".join(map(str, maker.values()))) if isinstance(maker, dict) else "an unknown version"
 
 

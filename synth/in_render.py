@@ -27,7 +27,7 @@ def rendered(
     holders = [item for item in found if instanced_by(item)]
     # The layer has what views show: of the scene's own objects only those above are rendered, too.
     hidden = set(scene.objects) - set(found)
-    left_out: dict[bpy.types.Object, set[bpy.types.Object]] = {}
+    excluded: dict[bpy.types.Object, set[bpy.types.Object]] = {}
     each: Any  # an instance's object and what brings it are there while it is looked at
     for each in (depsgraph or evaluated(layer)).object_instances:
         item = each.object.original
@@ -36,12 +36,12 @@ def rendered(
                 found.setdefault(item, Counter([item]))
             continue
         holder = each.parent.original
-        if holder not in left_out:
-            left_out[holder] = _left_out(holder)
-        if holder not in hidden and item not in left_out[holder]:
+        if holder not in excluded:
+            excluded[holder] = _excluded(holder)
+        if holder not in hidden and item not in excluded[holder]:
             found.setdefault(item, Counter())[holder] += 1
     # What views hide is not evaluated, and renders show it all the same. Of instances of collections it can
-    # be told what they bring; of nodes and particles it cannot.
+    # be derived from what they bring; of nodes and particles it cannot.
     for holder in holders:
         for item, times in Counter(_brought(holder)).items():
             if not found.setdefault(item, Counter())[holder]:
@@ -58,7 +58,7 @@ def _brought(holder: bpy.types.Object) -> Iterator[bpy.types.Object]:
             yield from _brought(item)
 
 
-def _left_out(holder: bpy.types.Object) -> set[bpy.types.Object]:
+def _excluded(holder: bpy.types.Object) -> set[bpy.types.Object]:
     """What a collection has that its instance ``holder`` shows in views alone."""
     collection = instanced_by(holder)
     return set(collection.all_objects) - set(in_collection(collection)) if collection else set()
@@ -72,7 +72,7 @@ def in_layer(part: bpy.types.LayerCollection, types: Types = None) -> Iterator[b
     if part.collection.hide_render:
         return
     if not part.exclude:
-        yield from _seen(part.collection, types)
+        yield from _shown(part.collection, types)
     for child in part.children:
         yield from in_layer(child, types)
 
@@ -81,7 +81,7 @@ def in_collection(collection: bpy.types.Collection, types: Types = None) -> Iter
     """What is rendered of a collection where it is instanced; ``types``: of these alone."""
     if collection.hide_render:
         return
-    yield from _seen(collection, types)
+    yield from _shown(collection, types)
     for child in collection.children:
         yield from in_collection(child, types)
 
@@ -91,7 +91,7 @@ def instanced_by(item: bpy.types.Object) -> bpy.types.Collection | None:
     return item.instance_collection if item.instance_type == "COLLECTION" else None
 
 
-def _seen(collection: bpy.types.Collection, types: Types) -> Iterator[bpy.types.Object]:
+def _shown(collection: bpy.types.Collection, types: Types) -> Iterator[bpy.types.Object]:
     if types is None:
         return (item for item in collection.objects if not item.hide_render)
     return (item for item in collection.objects if item.type in types and not item.hide_render)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""CTRL-C while Blender renders: raised afterwards, for within Cycles' own Python it would be lost."""
+"""CTRL-C while Blender renders: raised afterwards, because within Cycles' own Python it would be lost."""
 
 import signal
 import threading
@@ -18,7 +18,7 @@ def signals() -> list[signal.Signals]:
 def held() -> Iterator[None]:
     """Note an interrupt instead of raising it; ``KeyboardInterrupt`` on the way out if there was one.
 
-    Measured: raised in the middle of a frame, Cycles' callback prints it, and the run goes on as if nothing
+    Measured: raised in the middle of a frame, Cycles' callback prints it, and the run continues as if nothing
     had been. Nothing happens outside the main thread, which alone gets signals.
     """
     if threading.current_thread() is not threading.main_thread():

@@ -48,18 +48,18 @@ class Lens:
     cy: float
 
     @classmethod
-    def described(cls, told: Mapping[str, Any]) -> "Lens":
+    def described(cls, content: Mapping[str, Any]) -> "Lens":
         """The lens that ``describe`` tells."""
-        k1, k2, k3, k4 = (float(told[name]) for name in COEFFICIENTS[told["camera_model"]])
+        k1, k2, k3, k4 = (float(content[name]) for name in COEFFICIENTS[content["camera_model"]])
         return cls(
-            model=told["camera_model"],
+            model=content["camera_model"],
             coefficients=(k1, k2, k3, k4),
-            width=told["w"],
-            height=told["h"],
-            fx=told["fl_x"],
-            fy=told["fl_y"],
-            cx=told["cx"],
-            cy=told["cy"],
+            width=content["w"],
+            height=content["h"],
+            fx=content["fl_x"],
+            fy=content["fl_y"],
+            cx=content["cx"],
+            cy=content["cy"],
         )
 
     @property

@@ -16,8 +16,8 @@ from ..bridge.lights import AMBIENT
 from ..bridge.words import counted
 from .blender import cycles, evaluated, light_of
 from .errors import SceneError, UnknownNameError
-from .left_out import photographed
 from .light_names import COLLECTION, GROUP, KINDS, LAMPS, LightChoice, layer_name
+from .own_objects import photographed
 
 #: What a node's light is linear in → the colour that tints this light alone, where the node has it.
 STRENGTHS = {
@@ -231,7 +231,7 @@ def shines(tree: bpy.types.NodeTree) -> bool:
 
 
 def _above_zero(socket: Any, where_none: bool) -> bool:
-    """Whether a strength or a colour is not black, or may be, for it is linked."""
+    """Whether a strength or a colour is not black, or may be, because it is linked."""
     if socket is None:
         return where_none
     # The fourth number of a colour is its alpha.

@@ -32,7 +32,7 @@ def _load_package() -> None:
     sys.modules["physhdr"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     # For a Blender in which the extension is not installed: what it bundles (filelock), pure Python, which
-    # runs zipped. `make extension` fetches it by its hash; without it nothing is locked, and that is told.
+    # runs zipped. `make extension` fetches it by its hash; without it nothing is locked, which is reported.
     sys.path += [str(wheel) for wheel in sorted((root / "wheels").glob("*.whl"))]
 
 
@@ -50,25 +50,25 @@ def main(arguments: list[str]) -> int:
     from .several import make_all
     from .workers import WorkerReport, helping
 
-    given = parser().parse_args(arguments)
+    args = parser().parse_args(arguments)
     report: Report
-    if given.worker_of:
-        report, others = WorkerReport(given.worker_of), 0
+    if args.worker_of:
+        report, others = WorkerReport(args.worker_of), 0
     else:
-        report, others = JsonReport() if given.progress_json else Report(), given.workers - 1
+        report, others = JsonReport() if args.progress_json else Report(), args.workers - 1
     try:
-        wanted, scenes = options(given), parse_scenes(given.scene)
-        with helping(others, arguments, given.from_file):
-            report.end(make_all(Path(given.out), scenes, wanted, report))
+        wanted, scenes = options(args), parse_scenes(args.scene)
+        with helping(others, arguments, args.from_file):
+            report.end(make_all(Path(args.out), scenes, wanted, report))
     except PhysHDRError as error:
         report.fail(error.code, error.message, error.hint)
         return 1
     except OSError as error:
         hint = "make room, and give the same command again" if error.errno in FULL else ""
-        report.fail("file", f"{error.strerror or error}: '{error.filename or given.out}'", hint)
+        report.fail("file", f"{error.strerror or error}: '{error.filename or args.out}'", hint)
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted: the same command goes on where it stopped\n")
+        sys.stderr.write("interrupted: the same command resumes where it stopped\n")
         return 130
     except Exception as error:  # noqa: BLE001 (Blender would end with status 0, as if all were well)
         traceback.print_exc()

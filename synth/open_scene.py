@@ -21,7 +21,7 @@ from . import (
     active_camera,
     composited,
     in_views,
-    left_out,
+    own_objects,
     plan,
     rig,
     scripts,
@@ -38,7 +38,7 @@ from .rays import Rays
 from .stage import CameraHints, Stage
 
 _OURS = ("objects", "cameras", "worlds", "lights", "node_groups")
-#: Share of a rig's cameras behind or within things from which on the user is told.
+#: Share of a rig's cameras behind or within things from which on the user is warned.
 CROWDED = 0.2
 
 
@@ -65,7 +65,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         former = scene.frame_current, scene.frame_subframe
         undo.callback(scene.frame_set, former[0], subframe=former[1])
         scene.frame_set(former[0], subframe=former[1])
-        models = undo.enter_context(left_out.hidden(scene, layer, report))
+        models = undo.enter_context(own_objects.hidden(scene, layer, report))
         undo.enter_context(in_views.shown(scene, layer))
         layer.update()
         undo.enter_context(composited.taken_in(scene, layer, report))
@@ -98,7 +98,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         # Adaptive subdivision would else follow our camera, and give every view another surface.
         dicing = cycles(scene).dicing_camera or camera
         _set(undo, [(cycles(scene), "dicing_camera", dicing)])
-        undo.enter_context(active_camera.kept(scene, layer, camera, report))
+        undo.enter_context(active_camera.replaced(scene, layer, camera, report))
         yield (
             Stage(
                 scene=scene,
@@ -147,9 +147,9 @@ def _open_file(name: str | None, allow_scripts: bool) -> None:
             allowed: Any = {"use_scripts": True} if allow_scripts else {}  # else as Blender was started
             bpy.ops.wm.open_mainfile(filepath=str(resolved(path)), load_ui=False, **allowed)
     except RuntimeError as error:
-        told = str(error).removeprefix("Error: ").strip()
+        reason = str(error).removeprefix("Error: ").strip()
         raise SceneFileError(
-            f"Blender cannot open '{path}' ({told})",
+            f"Blender cannot open '{path}' ({reason})",
             "is it a .blend file, whole, and of a Blender no newer than this one?",
         ) from error
 
@@ -271,11 +271,11 @@ def _tell_what_is_missing(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, re
         report.warn(f"missing files (File > External Data): {', '.join(sorted(set(lost)))}")
     if scripts.was_refused():
         report.warn(
-            "Python in this file was not run, for nobody allowed it (Trusted Source on opening it, -y, or "
-            "Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"
+            "Python in this file was not run, because nobody allowed it (Trusted Source on opening it, -y, "
+            "or Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"
         )
-    for told in simulations.warnings(scene, layer):
-        report.warn(told)
+    for warning in simulations.warnings(scene, layer):
+        report.warn(warning)
 
 
 def name_of_file() -> str:

@@ -51,7 +51,7 @@ class Options:
     #: Of one test view without denoising, against which the truth is checked; ``REFERENCE_FACTOR`` ×
     #: ``test_samples`` if ``None``, 0: not checked.
     reference_samples: int | None = None
-    #: A folder of true radiance that was rendered before (``kept.py``): such views are not rendered again.
+    #: A folder of true radiance (``stored_truth.py``): its views are not rendered again.
     test_truth: str | None = None
     #: A data set of the same scene whose renders are taken: only what the camera makes of them differs.
     renders_of: str | None = None
@@ -94,7 +94,7 @@ class Options:
     allow_scripts: bool = False
     #: The scene in that file; its active one if empty.
     scene_name: str = ""
-    #: The lights of that scene that are told apart, beside the ambient one; its light groups if empty.
+    #: The lights of that scene that are distinguished, beside the ambient one; its light groups if empty.
     light_choices: tuple[LightChoice, ...] = ()
     #: Metres from the user's camera to what the rig looks at; found by itself if ``None``.
     rig_distance: float | None = None
@@ -223,9 +223,9 @@ class Options:
             "--rig-arc": self.rig_arc,
             "--rig-elevation": self.rig_elevation,
         }
-        given = [name for name, value in numbers.items() if value is not None]
-        if given and not self.from_file:
-            raise OptionError(f"{given[0]} is for --from-file: the built-in scenes bring their own rig")
+        rig_options = [name for name, value in numbers.items() if value is not None]
+        if rig_options and not self.from_file:
+            raise OptionError(f"{rig_options[0]} is for --from-file: the built-in scenes bring their own rig")
         if self.rig_distance is not None:
             within("--rig-distance (metres)", self.rig_distance, 1e-3, 1e6)
         for side in self.rig_extent or ():

@@ -32,19 +32,19 @@ def parse_lens(text: str, size: tuple[int, int], angle_x: float) -> Lens:
         model = MODELS[word.lower()]
         return _lens(model, parse_numbers("--lens", numbers), size, angle_x, {}).check()
     try:
-        told = folder.read_json(Path(text))
+        content = folder.read_json(Path(text))
     except SynthError as error:
         raise OptionError(
             f"--lens '{text}': {error.message}",
             "write opencv:k1,k2,p1,p2 or fisheye:k1,k2,k3,k4, or a JSON file",
         ) from error
-    model = told.get("camera_model", OPENCV)
+    model = content.get("camera_model", OPENCV)
     if model not in COEFFICIENTS:
         raise OptionError(
             f"--lens '{text}': camera_model is {model!r:.80}, not one of {', '.join(COEFFICIENTS)}"
         )
-    coefficients = tuple(_number(text, told, name, 0.0) for name in COEFFICIENTS[model])
-    return _lens(model, coefficients, size, angle_x, _pixels(text, told, size)).check()
+    coefficients = tuple(_number(text, content, name, 0.0) for name in COEFFICIENTS[model])
+    return _lens(model, coefficients, size, angle_x, _pixels(text, content, size)).check()
 
 
 def _lens(
@@ -70,24 +70,24 @@ def _lens(
     )
 
 
-def _pixels(text: str, told: dict[str, Any], size: tuple[int, int]) -> dict[str, float]:
+def _pixels(text: str, content: dict[str, Any], size: tuple[int, int]) -> dict[str, float]:
     """Focal lengths and centre of a JSON file, in pixels of our size."""
-    given = [name for name in PIXELS if name in told]
-    if not given:
+    in_pixels = [name for name in PIXELS if name in content]
+    if not in_pixels:
         return {}
-    sides = [_number(text, told, name, math.nan) for name in "wh"]
+    sides = [_number(text, content, name, math.nan) for name in "wh"]
     if not all(side >= 1.0 for side in sides):
-        raise OptionError(f"--lens '{text}': {given[0]} is in pixels: say of which 'w' and 'h'")
+        raise OptionError(f"--lens '{text}': {in_pixels[0]} is in pixels: say of which 'w' and 'h'")
     scale = {"x": size[0] / sides[0], "y": size[1] / sides[1]}
-    found = {name: _number(text, told, name, 0.0) * scale[name[-1]] for name in given}
+    found = {name: _number(text, content, name, 0.0) * scale[name[-1]] for name in in_pixels}
     for name, value in found.items():
         if not value > 0.0:
             raise OptionError(f"--lens '{text}': {name} must be above 0")
     return found
 
 
-def _number(text: str, told: dict[str, Any], name: str, otherwise: float) -> float:
-    value = told.get(name, otherwise)
+def _number(text: str, content: dict[str, Any], name: str, otherwise: float) -> float:
+    value = content.get(name, otherwise)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise OptionError(f"--lens '{text}': {name} is {value!r:.80}, not a number")
     return float(value)

@@ -138,8 +138,8 @@ def tiff_file(
 
 def raw_file(photo: Photo, radiance: np.ndarray, lens: Lens, model: CameraModel, mosaic: bool) -> bytes:
     """A DNG: what the sensor counted, before white balance and response. ``mosaic``: one channel a pixel."""
-    told = photo.camera.sensed(radiance.astype(np.float64) * dng.DAYLIGHT, photo.exposure)
-    counted = told / camera_model.SATURATION
+    sensed = photo.camera.sensed(radiance.astype(np.float64) * dng.DAYLIGHT, photo.exposure)
+    counted = sensed / camera_model.SATURATION
     iso = photo.camera.model.iso
     noise = None
     if iso is not None:

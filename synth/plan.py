@@ -50,7 +50,7 @@ class Shot:
     levels: Mapping[str, float]
     relit: tuple[Relighting, ...] = ()
     #: Its radiance was rendered before and is taken from elsewhere: there is no render of it here.
-    kept: bool = False
+    stored: bool = False
 
     @property
     def name(self) -> str:
@@ -80,7 +80,7 @@ class Shot:
         """Everything that belongs to this pose."""
         names = [self.hdr, *(self.bracket(k) for k in range(exposures))]
         names += [self.relit_hdr(light) for light in self.relit]
-        return names if self.kept else [self.passes, *names]
+        return names if self.stored else [self.passes, *names]
 
 
 def shots(poses: RigPoses, options: Options, lights: Sequence[str]) -> list[Shot]:
@@ -149,8 +149,8 @@ def relightings(options: Options, lights: Sequence[str]) -> tuple[Relighting, ..
         ]
     elif len(varied) > 1:
         levels += mixtures(varied, options.lit_levels)
-    told = [{name: level for name, level in each.items() if level != 1.0} for each in levels]
-    unique = {Relighting(each).folder: Relighting(each) for each in told if each}
+    levels_of_lights = [{name: level for name, level in each.items() if level != 1.0} for each in levels]
+    unique = {Relighting(each).folder: Relighting(each) for each in levels_of_lights if each}
     return tuple(unique.values())
 
 

@@ -62,7 +62,7 @@ class Report:
         self._text.flush()
 
     def warn(self, line: str) -> None:
-        """Something that the user should know; the run goes on."""
+        """Something that the user should know; the run continues."""
         self.warnings.append(line)
         sys.stderr.write(f"warning: {line}\n")
         sys.stderr.flush()
@@ -151,12 +151,12 @@ class JsonReport(Report):
 def quiet() -> Iterator[None]:
     """Keep what Blender itself writes (saved files, devices) off the process's stdout; errors still raise."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    saved_stdout = os.dup(1)
     sink = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 1)
         yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(saved_stdout, 1)
+        os.close(saved_stdout)
         os.close(sink)

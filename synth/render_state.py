@@ -44,7 +44,7 @@ def look(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, at: Callable[[bpy.t
             assert depsgraph is not None
             try:
                 found.append(at(depsgraph))
-            except BaseException as error:  # noqa: BLE001 (Blender would print it and go on; raised below)
+            except BaseException as error:  # noqa: BLE001 (Blender would print it and continue; raised below)
                 failed.append(error)
 
     bpy.utils.register_class(Look)

@@ -86,7 +86,7 @@ class Renderer:
         except NotFiniteError as error:
             raise NotFiniteRenderError(
                 f"the render '{scratch}' holds NaN or infinity",
-                "a material, a texture or a light of the scene gives values that are not numbers: mend it",
+                "a material, a texture or a light of the scene gives values that are not numbers: fix it",
             ) from error
         except DamagedFileError as error:
             raise RenderError(f"Blender wrote '{scratch}' only in part", "is the disk full?") from error

@@ -45,9 +45,9 @@ def opened(root: Path, asked: dict[str, Any], maker: dict[str, str]) -> Renders:
         DamagedFileError: there is no data set, or its description cannot be read.
         ConflictError: it was rendered otherwise.
     """
-    told = folder.read_told(root)
-    there = told.get("options")
-    if not isinstance(there, dict) or told.get("generator") != maker:
+    content = folder.read_description(root)
+    there = content.get("options")
+    if not isinstance(there, dict) or content.get("generator") != maker:
         raise DamagedFileError(f"'{root}' was not rendered by this program: choose another --renders-of")
     differing = [
         name for name in {**asked, **there} if name not in FREE and asked.get(name) != there.get(name)

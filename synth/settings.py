@@ -233,7 +233,7 @@ def _set(
         for path, _ in settings:
             owner, attribute = _owner(scene, path)
             record[f"scene.{path}"] = getattr(owner, attribute)
-        for path, _ in _LIGHT_PATHS:  # where they are the user's own, they are told all the same
+        for path, _ in _LIGHT_PATHS:  # where they are the user's own, they are recorded all the same
             record[f"scene.{path}"] = scene.path_resolve(path)
         yield record
     finally:

@@ -27,8 +27,8 @@ def make_all(out: Path, scenes: Sequence[str], options: Options, report: Report)
         if len(scenes) > 1:
             raise OptionError("--scene names several built-in scenes, and --from-file asks for your own")
         return make(out, replace(options, scene=scenes[0]), report)
-    for name, given in (("--test-truth", options.test_truth), ("--renders-of", options.renders_of)):
-        if given is not None:
+    for name, value in (("--test-truth", options.test_truth), ("--renders-of", options.renders_of)):
+        if value is not None:
             raise OptionError(f"{name} is of one scene, and --scene names several: give one at a time")
     for scene in scenes:  # all, before hours are spent on the first
         replace(options, scene=scene).check()

@@ -17,7 +17,7 @@ _WITH_CACHE = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "PARTICLE_SYSTEM"
 
 
 def warnings(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
-    """What is to be told of the simulations of all that is rendered: a sentence a cause, with the names."""
+    """Warnings about the simulations of all that is rendered: one sentence per cause, with the names."""
     found = list(rendered(scene, layer))
     loose = [item.name for item in found if _is_loose(item)] + _rigid_bodies(scene, found)
     said = []

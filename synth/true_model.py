@@ -2,7 +2,7 @@
 """The true cameras of a capture as COLMAP's text files (colmap.github.io, "Output Format").
 
 What ``physhdr prepare --poses`` takes instead of a reconstruction. Points are drawn from the depth that was
-rendered, and each is told of the one place that it was drawn from. COLMAP's cameras look along +z, with y
+rendered, and each lists only the place that it was drawn from. COLMAP's cameras look along +z, with y
 downward; the world is Blender's.
 """
 
@@ -25,7 +25,7 @@ AXES = np.array([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class VisiblePoints:
     """Points that one place sees: where in its picture and in the world [M, 3], and their colours (uint8)."""
 
     pixels: np.ndarray
@@ -33,7 +33,9 @@ class Seen:
     colours: np.ndarray
 
 
-def seen(place: Place, passes: Passes, picture: np.ndarray, lens: Lens, count: int, seed: int) -> Seen:
+def visible_points(
+    place: Place, passes: Passes, picture: np.ndarray, lens: Lens, count: int, seed: int
+) -> VisiblePoints:
     """``count`` random points at most; none in the sky. ``picture``: [H, W, 3] uint8, what they look like."""
     dice = np.random.default_rng([seed, 0x901, place.index])
     chosen = dice.permutation(np.flatnonzero(passes.depth.ravel() < SKY))[:count]
@@ -42,13 +44,13 @@ def seen(place: Place, passes: Passes, picture: np.ndarray, lens: Lens, count: i
     rays = lens.directions(pixels)
     in_camera = rays * (passes.depth[y, x] / rays[:, 2])[:, None] * AXES
     positions = in_camera @ place.pose[:3, :3].T + place.pose[:3, 3]
-    return Seen(pixels, positions, picture[y, x])
+    return VisiblePoints(pixels, positions, picture[y, x])
 
 
-def write(root: Path, lens: Lens, views: Sequence[tuple[str, Place, Seen]]) -> None:
+def write(root: Path, lens: Lens, views: Sequence[tuple[str, Place, VisiblePoints]]) -> None:
     """``sparse/0`` in ``root``; ``views``: a picture's name of each place, and what is seen there."""
-    told = lens.describe()
-    numbers = [told[name] for name in ("fl_x", "fl_y", "cx", "cy", *COEFFICIENTS[lens.model])]
+    lens_numbers = lens.describe()
+    numbers = [lens_numbers[name] for name in ("fl_x", "fl_y", "cx", "cy", *COEFFICIENTS[lens.model])]
     camera = f"1 {lens.model} {lens.width} {lens.height} {_spaced(numbers)}\n"
     images, points, number = [], [], 0
     for image, (name, place, points_seen) in enumerate(views, 1):

@@ -8,7 +8,7 @@ Two things make it cheap, both measured on the built-in scenes (lab/data/README.
   while many lamps burn Cycles seldom asks for the sun; alone, the ambient light has 1 to 7 dB less noise for
   the same samples, and the lamps are good enough with a part of them.
 - *In passes of* ``PASS`` *samples*, each denoised by itself, of which the truth is the mean. One denoised
-  picture gains 1.5 dB with every doubling of its samples, for the denoiser trusts them more and smooths less.
+  picture gains 1.5 dB with every doubling of its samples: the denoiser trusts them more and smooths less.
   A mean of denoised ones gains 3 dB, until their common bias is all that is left: passes must be large enough
   that it is small.
 """
@@ -122,7 +122,7 @@ class TruthRenderer:
 
     @contextmanager
     def _careful(self) -> Iterator[None]:
-        """Guides that are denoised before the picture: 0.5 to 0.8 dB, for a second a picture."""
+        """Guides that are denoised before the picture: 0.5 to 0.8 dB, at the cost of a second per picture."""
         outlet = self.camera.outlet
         outlet.prefilter(compositor.BEFORE)
         try:

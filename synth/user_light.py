@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The lights of a user's scene, told apart by Cycles' light groups, without a change to their own data.
+"""The lights of a user's scene, distinguished by Cycles' light groups, without a change to their own data.
 
 Ambient light is the world and the suns: for the time of rendering they are in a light group of ours. What the
 user chose (``light_choice``) is in groups of ours, too; where nothing was chosen, the user's own light groups
@@ -15,7 +15,6 @@ import bpy
 
 from ..bridge.lights import AMBIENT
 from .blender import light_of
-from .left_out import photographed
 from .light_choice import (
     LAMPS,
     LightChoice,
@@ -27,6 +26,7 @@ from .light_choice import (
     shares,
     shines,
 )
+from .own_objects import photographed
 
 OURS = "physhdr"
 #: Bytes of a light group's name: more do not fit behind ``Combined_`` in the name of its pass.
@@ -35,7 +35,7 @@ LONGEST = 54
 
 @dataclass(frozen=True)
 class Grouped:
-    """How the lights of a scene are told apart."""
+    """How the lights of a scene are distinguished."""
 
     #: Light → light group of Cycles; ``""`` for what remains. ``AMBIENT`` first.
     groups: dict[str, str]

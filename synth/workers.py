@@ -21,7 +21,7 @@ from .options import CURRENT
 from .progress import Report
 
 SCRIPT = Path(__file__).resolve().parent / "make_scene.py"
-#: Seconds that a worker has to give up when it is told to end.
+#: Seconds that a worker has to give up when it is asked to end.
 PATIENCE = 10.0
 
 

@@ -113,8 +113,8 @@ def call(kind: str, folder: Path, out: Path) -> None:
 
 def require(wanted: set[str], found: set[str], where: str, remedy: str) -> None:
     if missing := sorted(wanted - found):
-        told = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        raise BuildError(f"{where} lacks {told}\n  Name them in {remedy}.")
+        names = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        raise BuildError(f"{where} lacks {names}\n  Name them in {remedy}.")
 
 
 if __name__ == "__main__":

@@ -200,8 +200,8 @@ class Room:
         mounts += [bind(folder, place) for folder, place in home.items()]
         left = out / "left.txt"
         inside = f"/usr/bin/python3 {ROOT / 'tools' / 'gui_inside.py'} {seconds} {left}"
-        told = f"cd {HOME} && exec {inside} /bin/sh -c {shlex.quote(command)}"
-        script = " && ".join([*mounts, f"exec chroot {CHROOT} /bin/sh -c {shlex.quote(told)}"])
+        line = f"cd {HOME} && exec {inside} /bin/sh -c {shlex.quote(command)}"
+        script = " && ".join([*mounts, f"exec chroot {CHROOT} /bin/sh -c {shlex.quote(line)}"])
         # Where this program is killed so is unshare, and with it all of the room.
         unshare = ["setpriv", "--pdeathsig", "KILL", "unshare", "--mount", "--propagation", "private"]
         unshare += ["--pid", "--fork", "--kill-child", "/bin/sh", "-c", script]
@@ -212,9 +212,9 @@ class Room:
 
     def blender(self, script: Path, out: Path, options: str) -> str:
         """The command of a Blender that runs a script of tests/gui; ``options``: Blender's own."""
-        given = {"out": out, "zip": self.zip, "python": HOME / "torch" / "bin" / "python"}
-        given |= {"data": HOME / "room", "model": HOME / "room_run" / "model.safetensors"}
-        arguments = " ".join(f"--{name} {shlex.quote(str(path))}" for name, path in given.items())
+        args = {"out": out, "zip": self.zip, "python": HOME / "torch" / "bin" / "python"}
+        args |= {"data": HOME / "room", "model": HOME / "room_run" / "model.safetensors"}
+        arguments = " ".join(f"--{name} {shlex.quote(str(path))}" for name, path in args.items())
         variables = f"BLENDER_USER_RESOURCES={HOME}/blender HOME={HOME} LIBGL_ALWAYS_SOFTWARE=1"
         return f"{variables} blender --factory-startup {options} -P {script} -- {arguments}"
 
@@ -293,18 +293,18 @@ def run_test(room: Room, script: Path) -> bool:
     begun, before = time.perf_counter(), cpu_seconds()
     left = room.run(out, f"{xvfb} /usr/bin/env {blender}", PATIENCE)
     result = out / "result.txt"
-    told = result.read_text().strip() if result.exists() else "Blender did not start the test"
+    verdict = result.read_text().strip() if result.exists() else "Blender did not start the test"
     if left:
-        told = f"{told}\nleft running: " + "\n  ".join(left)
+        verdict = f"{verdict}\nleft running: " + "\n  ".join(left)
     seconds, used = time.perf_counter() - begun, cpu_seconds() - before
-    passed = "passed" if told == "passed" else "FAILED"
+    passed = "passed" if verdict == "passed" else "FAILED"
     print(
         f"{script.stem}: {passed} in {seconds:.0f} s ({used:.0f} s of processors); pictures in {out}",
         flush=True,
     )
-    if told != "passed":
-        print(f"{told}\n  Blender's log is {out / 'blender.log'}", flush=True)
-    return told == "passed"
+    if verdict != "passed":
+        print(f"{verdict}\n  Blender's log is {out / 'blender.log'}", flush=True)
+    return verdict == "passed"
 
 
 def cpu_seconds() -> float:
@@ -340,11 +340,11 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="tests of tests/gui; all by default")
     parser.add_argument("--keep", action="store_true", help="put the guide's pictures into docs/images/guide")
     parser.add_argument("--extension", type=Path, help="the zip of an extension; by default it is built")
-    given = parser.parse_args()
-    names = given.names
+    args = parser.parse_args()
+    names = args.names
     try:
         make_blender()
-        room = furnish(given.extension and given.extension.resolve())
+        room = furnish(args.extension and args.extension.resolve())
     except Skip as reason:
         print(f"gui-test skipped: {reason}")
         return 0
@@ -357,7 +357,7 @@ def main() -> int:
     if left := inmates():
         print(f"error: processes of the tests still run: {left}")
         passed = False
-    if passed and given.keep:
+    if passed and args.keep:
         keep()
     return 0 if passed else 1
 

@@ -68,8 +68,8 @@ def main() -> int:
     parts.add_argument("--quick", action="store_true", help="as on Linux alone")
     parts.add_argument("--others", action="store_true", help="as on Windows and macOS alone")
     parser.add_argument("--whole", action="store_true", help="every file for every system")
-    given = parser.parse_args()
-    wanted = checks(quick=given.quick, others=given.others, whole=given.whole)
+    args = parser.parse_args()
+    wanted = checks(quick=args.quick, others=args.others, whole=args.whole)
     with ThreadPoolExecutor(max_workers=2) as pool:
         passed = list(pool.map(run, wanted.keys(), wanted.values()))
     return 0 if all(passed) else 1

@@ -25,7 +25,7 @@ The index is asked when it can be reached; where it cannot be, its rows for the 
 It could not be when they were first written. They are what public records of the index say: each is in two
 or more, but for ten (cpu: Windows with Python 3.14; cu130: aarch64; cu126: aarch64 with 3.11, 3.13 and 3.14,
 Windows with 3.13 and 3.14), which are in one. Cpu for Linux x86-64 with 3.11 was at hand and is as recorded;
-macOS's are those of PyPI. What cu126 asks for is what PyTorch's build is told, and what others' locks found
+macOS's are those of PyPI. What cu126 asks for is what PyTorch's build declares, and what others' locks found
 in it. A row that is wrong refuses a file that is right; it cannot bring one that the index does not serve.
 """
 
@@ -118,8 +118,8 @@ def main() -> int:
     LOCKS.mkdir(exist_ok=True)
     for name, text in files.items():
         (LOCKS / name).write_text(text, encoding="utf-8")
-    told = [line for name in files for line in changes(name, former.get(name, ""), files[name])]
-    print("\n".join(told) or "nothing changed")
+    changed = [line for name in files for line in changes(name, former.get(name, ""), files[name])]
+    print("\n".join(changed) or "nothing changed")
     return 0
 
 
@@ -286,18 +286,18 @@ def belongs(name: str, version: str) -> bool:
 def changes(name: str, before: str, after: str) -> list[str]:
     """What a user must know of a new lock file, one line for each package that changed."""
     old, new = described(before), described(after)
-    told = [f"{name}: {each} {old[each][0]} is gone" for each in sorted(old.keys() - new.keys())]
+    changed = [f"{name}: {each} {old[each][0]} is gone" for each in sorted(old.keys() - new.keys())]
     for each in sorted(new):
         (versions, files), (had, former) = new[each], old.get(each, ("", set()))
         if not had:
-            told.append(f"{name}: {each} {versions} is new")
+            changed.append(f"{name}: {each} {versions} is new")
         elif versions != had:
-            told.append(f"{name}: {each} {had} → {versions}")
+            changed.append(f"{name}: {each} {had} → {versions}")
         elif files != former:
-            told.append(
+            changed.append(
                 f"{name}: {each} {versions}: {len(files - former)} files more, {len(former - files)} fewer"
             )
-    return told
+    return changed
 
 
 def described(text: str) -> dict[str, tuple[str, set[str]]]:

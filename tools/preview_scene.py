@@ -31,25 +31,25 @@ def main() -> None:
     parser.add_argument("--noise", action="store_true", help="render the first view twice: the noise floor")
     parser.add_argument("--out", type=Path, default=Path("preview.png"))
     after = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    given = parser.parse_args(after)
-    exposures = [2.0**ev for ev in SCENES[given.scene].evs]
+    args = parser.parse_args(after)
+    exposures = [2.0**ev for ev in SCENES[args.scene].evs]
     response = by_name("reinhard-gamma")
     began = time.monotonic()
-    with built(given.scene) as stage:
+    with built(args.scene) as stage:
         print(f"built in {time.monotonic() - began:.1f} s; lights: {', '.join(stage.lights)}")
-        poses = rig.poses(given.rig, stage.cameras, 35, 0)
+        poses = rig.poses(args.rig, stage.cameras, 35, 0)
         poses = [*poses.train, *poses.test]
-        wanted = settings.ground_truth((given.size, given.size), given.samples)
-        scratch = given.out.with_suffix(".exr")
+        wanted = settings.ground_truth((args.size, args.size), args.samples)
+        scratch = args.out.with_suffix(".exr")
         rows = []
         with settings.applied(stage.scene, wanted), renderer(stage, denoise=True) as camera:
-            for index in rig.spread_indices(len(poses), given.views):
+            for index in rig.spread_indices(len(poses), args.views):
                 began = time.monotonic()
                 image = camera.render(poses[index], index, scratch).radiance({})
                 print(f"pose {index}: {time.monotonic() - began:.1f} s")
                 rows.append(image.astype(np.float64))
-            if given.noise:
-                index = rig.spread_indices(len(poses), given.views)[0]
+            if args.noise:
+                index = rig.spread_indices(len(poses), args.views)[0]
                 again = camera.render(poses[index], 12345, scratch).radiance({})
                 print("noise floor", noise.floor(rows[0], again, response, tuple(exposures)))
     radiance = np.stack(rows)
@@ -66,8 +66,8 @@ def main() -> None:
             for row in rows
         ]
     )
-    given.out.write_bytes(png.encode(sheet))
-    print(given.out)
+    args.out.write_bytes(png.encode(sheet))
+    print(args.out)
 
 
 if __name__ == "__main__":

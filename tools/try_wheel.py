@@ -42,11 +42,11 @@ def main() -> int:
     # No link on the way, so that paths can be compared.
     with tempfile.TemporaryDirectory() as folder:
         try:
-            told = attempt(Path(folder).resolve())
+            result = attempt(Path(folder).resolve())
         except (BuildError, TrialError) as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
-    print(f"[wheel] {told}; {time.perf_counter() - begun:.0f} s")
+    print(f"[wheel] {result}; {time.perf_counter() - begun:.0f} s")
     return 0
 
 

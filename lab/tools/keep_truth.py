@@ -8,7 +8,7 @@
 A pass (synth/truth.py) has so many samples and is denoised by itself; the truth is the mean of all, weighted
 by their samples. Every test and validation view of a scene gets the first pass before any gets the second,
 and so does the middle test view once more with other noise (``again``). So it may be stopped at any time, by
-CTRL-C or a kill, and goes on where it stopped, even on another machine that has only what is kept. Several
+CTRL-C or a kill, and resumes where it stopped, even on another machine that has only what is kept. Several
 may work at the same time. ``--reference`` then renders the middle test view twice without denoising, which
 together tell of its limit. Both floors go into truth.json.
 
@@ -29,7 +29,7 @@ import numpy as np
 from physhdr.bridge.data_set import TEST, VALIDATION
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.bridge.lock import Claims
-from physhdr.synth import dataset, device, exr, floors, folder, kept, noise, rig, settings
+from physhdr.synth import dataset, device, exr, floors, folder, noise, rig, settings, stored_truth
 from physhdr.synth.built_in import SCENES, built
 from physhdr.synth.errors import ConflictError
 from physhdr.synth.options import REFERENCE_FACTOR, Options, seconds
@@ -60,7 +60,9 @@ class View:
 
     def state(self) -> tuple[np.ndarray | None, dict[str, Any]]:
         """The mean so far and its facts; the kept one's where that has more passes."""
-        there = [kept.read(path) for path in (self.work, self.target) if path is not None and path.exists()]
+        there = [
+            stored_truth.read(path) for path in (self.work, self.target) if path is not None and path.exists()
+        ]
         best = max(there, key=lambda each: sum(each[1]["passes"]), default=None)
         return best or (None, {"passes": [], "cpu_seconds": 0.0})
 
@@ -99,7 +101,7 @@ class View:
         text = {FACTS: json.dumps(facts, sort_keys=True)}
         folder.write(self.work, exr.encode_rgb(mean, text))
         if self.target is not None:
-            kept.write(self.target, mean, facts)
+            stored_truth.write(self.target, mean, facts)
         return facts
 
     def keep(self) -> None:
@@ -107,8 +109,8 @@ class View:
         mean, facts = self.state()
         if self.target is None or mean is None:
             return
-        if not self.target.exists() or kept.read(self.target)[1]["passes"] != facts["passes"]:
-            kept.write(self.target, mean, facts)
+        if not self.target.exists() or stored_truth.read(self.target)[1]["passes"] != facts["passes"]:
+            stored_truth.write(self.target, mean, facts)
 
 
 def _told_of(devices: set[str]) -> dict[str, list[str]]:
@@ -126,11 +128,11 @@ class Scene:
             place.mkdir(parents=True, exist_ok=True)
         poses = rig.poses(RIG, cameras, VIEWS, 0, VALIDATION_VIEWS.get(name, 0))
         self.middle = len(poses.test) // 2
-        self.kept = [
+        self.stored = [
             View(f"{split}_{k:03d}", pose, self.work / file, self.target / file, device=cycles_device)
             for split, of_split in ((TEST, poses.test), (VALIDATION, poses.validation))
             for k, pose in enumerate(of_split)
-            for file in [kept.file_name(split, k)]
+            for file in [stored_truth.file_name(split, k)]
         ]
         self.again = self._beside("again", denoised=True, pose=poses.test[self.middle])
         self.halves = [
@@ -143,16 +145,16 @@ class Scene:
 
     def describe(self) -> dict[str, Any] | None:
         """The content of truth.json; None as long as not all views are there."""
-        views = [*self.kept, self.again]
+        views = [*self.stored, self.again]
         passes = min((view.passes for view in views), key=sum)
         if not passes:
             return None
         exposures, response = seconds(SCENES[self.name].evs), by_name(Options.crf)
-        truth = self.kept[self.middle].mean
+        truth = self.stored[self.middle].mean
         devices = {name for view in views for name in view.state()[1].get("devices", [Options.device])}
         told: dict[str, Any] = {
-            "format": kept.FORMAT,
-            "version": kept.VERSION,
+            "format": stored_truth.FORMAT,
+            "version": stored_truth.VERSION,
             "generator": {**dataset.GENERATOR, "blender": bpy.app.version_string},
             "options": {
                 "scene": self.name,
@@ -166,7 +168,7 @@ class Scene:
             "passes": passes,
             "samples": sum(passes),
             "exposures": list(exposures),
-            "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.kept)),
+            "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.stored)),
             **_told_of(devices),
             "noise_floor": {
                 "view": self.middle,
@@ -203,17 +205,17 @@ def work_on(
         scene = Scene(name, stage.cameras, work, cycles_device)
         with Claims(scene.work / ".claims", print) as claims:
             for count in range(1, len(passes) + 1):
-                for view in (*scene.kept, scene.again):
+                for view in (*scene.stored, scene.again):
                     _improve(scene, view, passes[:count], camera, claims)
             of_a_half = REFERENCE_FACTOR * sum(passes) // 2 if reference else 0
             chunks = [PASS] * (of_a_half // PASS) + [of_a_half % PASS] * bool(of_a_half % PASS)
             for count in range(1, len(chunks) + 1):
                 for half in scene.halves:
                     _improve(scene, half, chunks[:count], camera, claims)
-            for view in scene.kept:
+            for view in scene.stored:
                 view.keep()
             if told := scene.describe():
-                folder.write_json(scene.target / kept.TRUTH_FILE, told)
+                folder.write_json(scene.target / stored_truth.TRUTH_FILE, told)
                 print(f"{name}: {json.dumps(told['noise_floor'])} {json.dumps(told.get('reference_floor'))}")
             else:
                 print(f"{name}: another process is at work on the rest; run this again when it has ended")

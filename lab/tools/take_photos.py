@@ -98,7 +98,7 @@ def _take(given: argparse.Namespace) -> None:
         middle = taken[len(taken) // 2]
         ideal = photos.developed(_ideal(middle), radiance, response)
         count = true_model.POINTS // len(places)
-        points = true_model.seen(place, passes, ideal, capture.lens, count, given.seed)
+        points = true_model.visible_points(place, passes, ideal, capture.lens, count, given.seed)
         views.append((f"{middle.name}{suffix}", place, points))
         print(f"{place.name}: {', '.join(photo.name for photo in taken)}", flush=True)
     true_model.write(given.out / "truth", capture.lens, views)

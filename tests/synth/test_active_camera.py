@@ -67,7 +67,7 @@ def state(tree):
 def kept(scene, report):
     layer = scene.view_layers[0]
     layer.update()
-    with active_camera.kept(scene, layer, bpy.data.objects["mine"], report):
+    with active_camera.replaced(scene, layer, bpy.data.objects["mine"], report):
         yield
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.synth import dataset, exr, kept, truth
+from physhdr.synth import dataset, exr, stored_truth, truth
 from physhdr.synth.errors import ConflictError
 
 ROOT = Path(__file__).parents[2]
@@ -36,11 +36,11 @@ def tool(monkeypatch, tmp_path):
 
 def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
     tool.work_on("ball", [PASS], False, tmp_path / "work")
-    told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
+    told = json.loads((tmp_path / "kept/ball" / stored_truth.TRUTH_FILE).read_text())
     assert told["samples"] == PASS and "reference_floor" not in told and "devices" not in told
     shutil.rmtree(tmp_path / "work")  # another machine: only what is kept is there
     tool.work_on("ball", [PASS, PASS], True, tmp_path / "work")
-    told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
+    told = json.loads((tmp_path / "kept/ball" / stored_truth.TRUTH_FILE).read_text())
     assert told["samples"] == 2 * PASS and told["reference_floor"]["samples"] == 4 * PASS
     names = {path.name for path in (tmp_path / "kept/ball").iterdir()}
     assert names == {"truth.json", "test_000.exr", "test_001.exr", "val_000.exr"}
@@ -49,7 +49,7 @@ def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
     dataset.make(tmp_path / "data", replace(at_once, reference_samples=0))
     for split, k in (("test", 0), ("test", 1), ("val", 0)):
         rendered = exr.read(tmp_path / f"data/{split}_hdr/hdr_{k:03d}.exr")
-        radiance, facts = kept.read(tmp_path / "kept/ball" / kept.file_name(split, k))
+        radiance, facts = stored_truth.read(tmp_path / "kept/ball" / stored_truth.file_name(split, k))
         # Rounded once after the first go, and once after the second.
         np.testing.assert_allclose(radiance, rendered, rtol=2.0**-8, atol=1e-5)
         assert facts["passes"] == [PASS, PASS] and facts["samples"] == 2 * PASS
@@ -92,14 +92,14 @@ def test_the_two_floors_are_those_of_pictures_made_by_hand(tool, tmp_path):
     """A second truth and a reference that are the first times a factor: the floors are that factor's."""
     tool.work_on("ball", [PASS], True, tmp_path / "work")
     work = tmp_path / "work/ball"
-    first, facts = kept.read(work / "test_001.exr")
+    first, facts = stored_truth.read(work / "test_001.exr")
     text = {"physhdr": json.dumps(facts)}
     (work / "again.exr").write_bytes(exr.encode_rgb(first * 1.1, text))
     many = {"physhdr": json.dumps({**facts, "passes": [PASS] * 8})}
     for k in (0, 1):
         (work / f"reference_{k}.exr").write_bytes(exr.encode_rgb(first * (0.8 + 0.1 * k), many))
     tool.work_on("ball", [PASS], True, tmp_path / "work")
-    told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
+    told = json.loads((tmp_path / "kept/ball" / stored_truth.TRUTH_FILE).read_text())
     at = told["exposures"].index(2.0)
     pictures = (first, first * 1.1, first * 0.8, first * 0.9)
     best, again, half, other = ((2 * x / (1 + 2 * x)) ** (1 / 2.2) for x in pictures)
@@ -113,7 +113,7 @@ def test_the_two_floors_are_those_of_pictures_made_by_hand(tool, tmp_path):
 def test_passes_weigh_as_much_as_they_have_samples(tool, tmp_path):
     """The mean of three passes, against these passes rendered one by one."""
     tool.work_on("ball", [8, 24, 16], False, tmp_path / "work")
-    mean, facts = kept.read(tmp_path / "work/ball/test_000.exr")
+    mean, facts = stored_truth.read(tmp_path / "work/ball/test_000.exr")
     pictures = []
     with (
         tool.built("ball") as stage,
@@ -134,8 +134,11 @@ def test_what_a_gpu_rendered_is_told(tool, tmp_path, monkeypatch):
     monkeypatch.setattr(tool.device, "chosen", lambda _: nullcontext())  # Cycles then takes the CPU
     tool.work_on("ball", [PASS], False, tmp_path / "work", "GPU")
     tool.work_on("ball", [PASS, PASS], False, tmp_path / "work")
-    assert json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())["devices"] == ["CPU", "GPU"]
-    assert kept.read(tmp_path / "kept/ball/test_000.exr")[1]["devices"] == ["CPU", "GPU"]
+    assert json.loads((tmp_path / "kept/ball" / stored_truth.TRUTH_FILE).read_text())["devices"] == [
+        "CPU",
+        "GPU",
+    ]
+    assert stored_truth.read(tmp_path / "kept/ball/test_000.exr")[1]["devices"] == ["CPU", "GPU"]
 
 
 def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
@@ -152,8 +155,8 @@ def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
 def test_what_is_kept_has_the_passes_that_it_says(scene):
     """Of every view, in its own header: once views of a second pass were told of that had not come along."""
     folder = ROOT / "lab" / "data" / scene
-    told = json.loads((folder / kept.TRUTH_FILE).read_text())
-    facts = {path.name: kept.read(path)[1] for path in sorted(folder.glob("*.exr"))}
+    told = json.loads((folder / stored_truth.TRUTH_FILE).read_text())
+    facts = {path.name: stored_truth.read(path)[1] for path in sorted(folder.glob("*.exr"))}
     assert len(facts) == 17 + told["validation_views"]
     assert min((each["passes"] for each in facts.values()), key=sum) == told["passes"]
     assert told["samples"] == sum(told["passes"])

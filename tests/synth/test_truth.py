@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from physhdr.bridge import data_set
-from physhdr.synth import dataset, exr, floors, kept, noise, rig, settings, several
+from physhdr.synth import dataset, exr, floors, noise, rig, settings, several, stored_truth
 from physhdr.synth.built_in import SCENES, built
 from physhdr.synth.errors import (
     ConflictError,
@@ -154,14 +154,21 @@ def kept_truth(tmp_path, clean):
         frames = json.loads((tmp_path / f"a/transforms_{split}.json").read_text())["frames"]
         for k, frame in enumerate(frames):
             radiance = exr.read(tmp_path / f"a/{split}_hdr/hdr_{k:03d}.exr")
-            kept.write(
-                root / kept.file_name(split, k), radiance, {"camera_to_world": frame["transform_matrix"]}
+            stored_truth.write(
+                root / stored_truth.file_name(split, k),
+                radiance,
+                {"camera_to_world": frame["transform_matrix"]},
             )
-    options = {name: told["options"][name] for name in kept.SAME}
-    content = {"format": kept.FORMAT, "version": kept.VERSION, "options": options, "samples": 16}
+    options = {name: told["options"][name] for name in stored_truth.SAME}
+    content = {
+        "format": stored_truth.FORMAT,
+        "version": stored_truth.VERSION,
+        "options": options,
+        "samples": 16,
+    }
     content["exposures"] = told["exposures"]
     floors_of = {name: told[name] for name in ("noise_floor", "reference_floor")}
-    (root / kept.TRUTH_FILE).write_text(json.dumps(content | floors_of))
+    (root / stored_truth.TRUTH_FILE).write_text(json.dumps(content | floors_of))
     return root
 
 
@@ -195,8 +202,8 @@ def test_kept_truth_of_something_else_is_refused(tmp_path, clean, kept_truth):
     with pytest.raises(ConflictError, match=r"resolution is .32, 24. there, .24, 24. asked"):
         dataset.make(tmp_path / "b", replace(taking, resolution=(24, 24)))
     dataset.make(tmp_path / "f", taking)
-    told = json.loads((kept_truth / kept.TRUTH_FILE).read_text())
-    (kept_truth / kept.TRUTH_FILE).write_text(json.dumps(told | {"samples": 32}))  # cleaner since
+    told = json.loads((kept_truth / stored_truth.TRUTH_FILE).read_text())
+    (kept_truth / stored_truth.TRUTH_FILE).write_text(json.dumps(told | {"samples": 32}))  # cleaner since
     with pytest.raises(ConflictError, match="test_truth is 16 there, 32 asked"):
         dataset.make(tmp_path / "f", taking)
     with pytest.raises(DamagedFileError, match=r"no '.*val_002.exr'"):
@@ -215,12 +222,12 @@ def test_kept_truth_of_something_else_is_refused(tmp_path, clean, kept_truth):
 
 def test_what_half_floats_cannot_hold_is_not_kept(tmp_path):
     with pytest.raises(OutputFolderError, match="more than half floats hold"):
-        kept.write(tmp_path / "a.exr", np.full((2, 2, 3), 1e5, np.float32), {})
+        stored_truth.write(tmp_path / "a.exr", np.full((2, 2, 3), 1e5, np.float32), {})
 
 
 def test_kept_radiance_has_nine_significant_bits():
     values = np.random.default_rng(5).lognormal(0, 3, 10_000).astype(np.float32)
-    small = kept.rounded(values)
+    small = stored_truth.rounded(values)
     np.testing.assert_allclose(small, values, rtol=2.0**-9 + 2.0**-11, atol=1e-7)
     mantissa, _ = np.frexp(small.astype(np.float64))
     big = small > 1e-3  # smaller half floats lose bits by themselves

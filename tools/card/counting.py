@@ -46,15 +46,15 @@ def counting() -> Iterator[Count]:
         def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
             result = func(*args, **(kwargs or {}))
             taken = [t for t in tree_leaves((args, kwargs)) if isinstance(t, torch.Tensor)]
-            given = [t for t in tree_leaves(result) if isinstance(t, torch.Tensor)]
+            results = [t for t in tree_leaves(result) if isinstance(t, torch.Tensor)]
             storages = {t.untyped_storage().data_ptr() for t in taken if t.numel()}
-            new = [t for t in given if t.untyped_storage().data_ptr() not in storages]
+            new = [t for t in results if t.untyped_storage().data_ptr() not in storages]
             changes = func._schema.is_mutable
             if (new or changes) and func._schema.name.split("::")[-1] not in _ALLOCATIONS:
                 count.torch += 1
                 # What is changed in place is read and written, and it is in both lists.
                 count.bytes += sum(t.nbytes for t in taken) + sum(
-                    t.nbytes for t in (given if changes else new)
+                    t.nbytes for t in (results if changes else new)
                 )
             return result
 

@@ -62,7 +62,7 @@ class _AbsentFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def find_physhdr() -> None:
-    """Make this checkout the package ``physhdr``; before torch is imported, for it says how threads wait."""
+    """Make this checkout the package ``physhdr``. Before torch is imported: it says how threads wait."""
     spec = importlib.util.spec_from_file_location(
         "physhdr", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)]
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extension put into a user's scene is no part of what is photographed: away while it is, and told.
+"""Hides what the extension put into a user's scene while that is photographed, and reports it.
 
-Trained models; the light that a capture gives the world, for which the world of before stands; the planes
+Trained models; the light that a capture gives the world, for which the former world is restored; the planes
 that take the shadow of CG. Probes and a data set's cameras, which no picture shows, would let the scene look
 changed.
 """

@@ -27,7 +27,7 @@ SAME = ("scene", "resolution", "views", "camera_rig", "assets")
 #: Elements of a camera's matrix that differ by more are another camera's.
 SAME_POSE = 1e-6
 #: Significant bits that are kept of a half float's 11: an error of 0.09 % (root mean square), 20 dB below the
-#: noise, for files a sixth smaller.
+#: noise, in exchange for files a sixth smaller.
 BITS = 9
 
 
@@ -79,11 +79,11 @@ def read(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
 
 
 @dataclass(frozen=True)
-class Kept:
+class StoredTruth:
     """A folder of kept truth, opened for a data set of the same scene, size and rig."""
 
     root: Path
-    told: dict[str, Any]
+    info: dict[str, Any]
 
     @property
     def floors(self) -> dict[str, Any]:
@@ -91,8 +91,8 @@ class Kept:
 
         Neither these nor the response that they name need be those of the data set.
         """
-        there = [name for name in ("noise_floor", "reference_floor") if self.told.get(name)]
-        return {name: {**self.told[name], "exposures": self.told["exposures"]} for name in there}
+        there = [name for name in ("noise_floor", "reference_floor") if self.info.get(name)]
+        return {name: {**self.info[name], "exposures": self.info["exposures"]} for name in there}
 
     def shots(self, shots: list[Shot]) -> list[Shot]:
         """The same, with those marked that are taken from here: all that are never trained from.
@@ -107,7 +107,7 @@ class Kept:
                     f"there is no '{path}': what is kept has fewer {shot.split} views than are asked for, or "
                     "is not complete"
                 )
-        return [replace(shot, kept=shot.split in HELD_OUT) for shot in shots]
+        return [replace(shot, stored=shot.split in HELD_OUT) for shot in shots]
 
     def passes(self, shot: Shot) -> Passes:
         """The radiance of a pose as if one light gave it all; there is no geometry.
@@ -134,7 +134,7 @@ class Kept:
         )
 
 
-def opened(root: Path, options: dict[str, Any]) -> Kept:
+def opened(root: Path, options: dict[str, Any]) -> StoredTruth:
     """
     ``options``: what the data set is asked for, as it remembers it.
 
@@ -142,10 +142,10 @@ def opened(root: Path, options: dict[str, Any]) -> Kept:
         DamagedFileError: there is no such folder, or its ``truth.json`` cannot be read.
         ConflictError: it is of another scene, size or rig.
     """
-    told = folder.read_json(root / TRUTH_FILE)
-    same = told.get("options")
-    whole = all(name in told for name in ("noise_floor", "samples", "exposures"))
-    ours = told.get("format") == FORMAT and told.get("version") == VERSION
+    info = folder.read_json(root / TRUTH_FILE)
+    same = info.get("options")
+    whole = all(name in info for name in ("noise_floor", "samples", "exposures"))
+    ours = info.get("format") == FORMAT and info.get("version") == VERSION
     if not (ours and whole and isinstance(same, dict)):
         raise DamagedFileError(f"'{root / TRUTH_FILE}' is not of this program: choose another --test-truth")
     if other := [name for name in SAME if same.get(name) != options.get(name)]:
@@ -156,4 +156,4 @@ def opened(root: Path, options: dict[str, Any]) -> Kept:
             f"the truth in '{root}' was rendered with other options: {differing:.400}",
             "ask for the same, or render the test views here, without --test-truth",
         )
-    return Kept(root, told)
+    return StoredTruth(root, info)

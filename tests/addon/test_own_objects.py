@@ -16,7 +16,7 @@ from physhdr.addon.capture import dataset_cameras  # noqa: E402
 from physhdr.addon.light import cg, lighting, probes  # noqa: E402
 from physhdr.addon.model import model_import  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
-from physhdr.synth import left_out  # noqa: E402
+from physhdr.synth import own_objects  # noqa: E402
 from physhdr.synth.fingerprint import fingerprint  # noqa: E402
 
 
@@ -60,7 +60,7 @@ def test_a_scene_that_its_capture_lights_is_photographed_as_it_was(room, make_mo
     put_ours(room, model_import.import_model(write(make_model(count=20, seed=5))))
     ours, lit = look("lit.exr")
     assert ours != before and np.abs(lit - picture).max() > 0.1
-    with left_out.hidden(room, layer, SimpleNamespace(say=said.append)) as names:
+    with own_objects.hidden(room, layer, SimpleNamespace(say=said.append)) as names:
         assert room.world.name == "sky"
         during, again = look("again.exr")
     assert during == before
@@ -80,7 +80,7 @@ def test_a_layers_own_world_that_a_capture_lights_is_given_back_too(room):
     sky, lit = room.world, lighting._lit_world(room)
     lit[lighting.MODEL] = room.camera
     room.world, layer.world_override = sky, lit
-    with left_out.hidden(room, layer, SimpleNamespace(say=lambda _: None)):
+    with own_objects.hidden(room, layer, SimpleNamespace(say=lambda _: None)):
         assert (room.world, layer.world_override) == (sky, sky)
     assert (room.world, layer.world_override) == (sky, lit)
 
@@ -89,6 +89,6 @@ def test_where_there_was_no_world_there_is_none_again(room):
     room.world = None
     lit = lighting._lit_world(room)
     lit[lighting.MODEL] = room.camera
-    with left_out.hidden(room, room.view_layers[0], SimpleNamespace(say=lambda _: None)):
+    with own_objects.hidden(room, room.view_layers[0], SimpleNamespace(say=lambda _: None)):
         assert room.world is None
     assert room.world == lit
