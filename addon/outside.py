@@ -71,8 +71,8 @@ def may_follow(path: str | Path) -> bool:
 def followed(path: str) -> str:
     """``path``, where a click on something else leads; ``BadValueError`` where not ``may_follow``."""
     if not may_follow(path):
-        told = "Look at it in the panel, choose another place, or leave that empty."
-        raise BadValueError(f"this file names {path} on another computer, which you have not chosen", told)
+        remedy = "Look at it in the panel, choose another place, or leave that empty."
+        raise BadValueError(f"this file names {path} on another computer, which you have not chosen", remedy)
     return path
 
 

@@ -68,7 +68,7 @@ def is_free(path: Path) -> bool:
 def first_free(path: Path, suffix: str = "", fits: Callable[[Path], bool] = is_free) -> Path:
     """The path, or the same with a number before its ``suffix``: the first that ``fits``.
 
-    Where the system refuses the path, as one that is too long, no number helps: whoever opens it is told.
+    Where the system refuses the path, as one that is too long, no number helps: opening it says so.
     """
     candidate, number = path, 2
     while not fits(candidate) and not _is_refused(candidate):

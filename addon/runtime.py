@@ -39,7 +39,7 @@ def redraw() -> None:
 
 
 def renew() -> None:
-    """Another session, of the folder that is chosen now; a training goes on without this Blender."""
+    """Another session, of the folder that is chosen now; a training continues without this Blender."""
     global _session
     if _session is not None:
         _session.close()

@@ -52,8 +52,8 @@ TONES = [
     ("learned", "Learned", "Through the learned tone mapper, as the camera recorded it (view: Standard)"),
 ]
 WHEN_CLOSED = [
-    ("keep", "Keep Training", "Training goes on; the next Blender finds it again"),
-    ("stop", "Save and Stop", "Training saves a checkpoint and stops; resume goes on from it"),
+    ("keep", "Keep Training", "Training continues; the next Blender finds it again"),
+    ("stop", "Save and Stop", "Training saves a checkpoint and stops; resume continues from it"),
 ]
 TORCH_BUILDS = [
     ("cpu", "Processor", "The small build of torch, without CUDA: about 1.8 GB"),
@@ -312,7 +312,7 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     tone: bpy.props.EnumProperty(name="Tone Mapping", items=TONES)
 
 
-def photo_options(chosen: PHYSHDR_Settings, **given: Any) -> PhotoOptions:
+def photo_options(chosen: PHYSHDR_Settings, **overrides: Any) -> PhotoOptions:
     """What is said of the photos in a scene's settings, but for what is ``given``.
 
     Raises ``BadValueError`` where the settings name a file in a network that the user has not chosen.
@@ -320,7 +320,7 @@ def photo_options(chosen: PHYSHDR_Settings, **given: Any) -> PhotoOptions:
     names = [each.name for each in fields(PhotoOptions)]
     of_settings = {"max_width": "photos_width"}
     found = {name: getattr(chosen, of_settings.get(name, f"photos_{name}")) for name in names}
-    options = {**found, **given}
+    options = {**found, **overrides}
     options["exposures"] = outside.followed(absolute(options["exposures"]))
     return PhotoOptions(**options)
 

@@ -49,12 +49,12 @@ class ListedCamera:
 
 def write_camera_list(path: Path, cameras: Sequence[ListedCamera]) -> None:
     """Write the file in one step; raises ``OutputError``, also where another program's is there."""
-    content = [_told(number, camera) for number, camera in enumerate(cameras)]
+    content = [_entry(number, camera) for number, camera in enumerate(cameras)]
     with atomic_path(path, check=refuse_others) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _told(number: int, camera: ListedCamera) -> dict[str, Any]:
+def _entry(number: int, camera: ListedCamera) -> dict[str, Any]:
     pose = camera.camera_to_world @ OPENGL_TO_OPENCV
     return {
         "id": number,

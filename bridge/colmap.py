@@ -104,10 +104,10 @@ def picture_count(model: Path) -> int:
 
 
 def _count_in_text(path: Path) -> int:
-    told = (line for line in read_text(path, "", _LARGEST).split("\n") if not line.lstrip().startswith("#"))
+    lines = (line for line in read_text(path, "", _LARGEST).split("\n") if not line.lstrip().startswith("#"))
     count = 0
-    for line in told:
+    for line in lines:
         if line.strip():
-            next(told, None)  # its observations, of which there may be none
+            next(lines, None)  # its observations, of which there may be none
             count += 1
     return count

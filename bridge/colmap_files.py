@@ -219,7 +219,7 @@ def _images_bin(path: Path) -> list[SparseImage]:
 
 
 def lines_in(path: Path) -> list[tuple[int, str]]:
-    """(line number, line) of all that is no comment; empty lines stay, for a picture may have no points."""
+    """(line number, line) of all that is no comment; empty lines stay: a picture may have no points."""
     text = read_text(path, RUN_AGAIN, LARGEST_FILE)
     lines = [(k, line.strip()) for k, line in enumerate(text.split("\n"), start=1)]
     return [(k, line) for k, line in lines if not line.startswith("#")]

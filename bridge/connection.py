@@ -151,7 +151,7 @@ def live_connection(folder: Path) -> Connection:
     """As ``read_connection``, of a backend that lives: who holds the home's lock.
 
     Raises ``FileMissingError`` also where the file was left behind, as by a power cut: its process number and
-    its port may be any other program's by now, which is to be neither ended nor told the token.
+    its port may be any other program's by now, which must neither be ended nor learn the token.
     """
     connection = read_connection(folder)
     if not _is_served(folder):

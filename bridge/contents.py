@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is counted and measured in a data set by all who look into its folder.
 
-The panel's summary looks at JSON and headers alone, for it has to be done at once. ``physhdr inspect``
+The panel's summary looks at JSON and headers alone, because it has to be done at once. ``physhdr inspect``
 decodes every picture, of any layout. Who renders a data set judges it before it is described. Each has words
 of its own for its own reader; the facts come from here.
 """
@@ -19,7 +19,7 @@ from .limits import EXPOSURE, is_number
 
 #: Of linear Rec.709 (https://www.itu.int/rec/R-REC-BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-#: Share of the training pixels without a usable exposure from which on the user is told.
+#: Share of the training pixels without a usable exposure from which on the user is warned.
 LOST = 0.05
 
 
@@ -51,7 +51,7 @@ class SplitContents:
 def split_contents(transforms: dict[str, Any], exposures: dict[str, Any]) -> SplitContents:
     """The contents of a ``transforms_*.json`` and its ``exposure_*.json``.
 
-    Frames without a file's name are left out, and what is no exposure is told apart; nothing is raised: the
+    Frames without a file's name are left out, and what is no exposure is marked; nothing is raised: the
     trainer's reader refuses what it must, in ``backend/scene``.
     """
     pictures, wrong = {}, {}
@@ -95,7 +95,7 @@ def lost_at_the_ends(white: float | None, black: float | None) -> Iterator[tuple
     """What of the training pixels is lost at both ends of the bracket, and which exposures would show it.
 
     ``white``: their share that is white even at the shortest exposure, ``black``: that is black even at the
-    longest; None where nobody has looked. Nothing is told of up to ``LOST``.
+    longest; None where nobody has looked. Up to ``LOST`` nothing is reported.
     """
     for share, what, which, other in (
         (white, "white", "shortest", "shorter"),

@@ -223,7 +223,7 @@ def read_info(root: Path, remedy: str) -> dict[str, Any]:
     version = info.get("version", VERSION)
     if not is_number(version):
         raise BadValueError(
-            f"{path}: 'version' must be a finite number, got {version!r:.80}", "Mend it in that file."
+            f"{path}: 'version' must be a finite number, got {version!r:.80}", "Fix it in that file."
         )
     if version > VERSION:
         raise BadValueError(

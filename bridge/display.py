@@ -87,7 +87,7 @@ def display_colour_sh(
 
     ``exposure``: seconds (2^EV); ``level``: the lighting level of each of the model's lights, or of the
     first, limited to a baked-levels model's range; ``tone``: the model's learned response, or the plain sRGB
-    curve, which goes on above 1, as 3DGS's colours may. ``to_world`` ``[3, 3]``: the linear part of the
+    curve, which continues above 1, as 3DGS's colours may. ``to_world`` ``[3, 3]``: the linear part of the
     object's matrix, where the colours are wanted in world space: ω in the world is seen from along
     ``to_world⁻¹ ω``. Raises ``BadValueError`` where a model has no response, or not as many lights.
     """

@@ -11,7 +11,7 @@ LONGEST_MESSAGE = 1600
 
 
 class PhysHDRError(Exception):
-    """Something the user can mend.
+    """Something the user can fix.
 
     ``message`` says what was wrong, with the file or value; ``hint`` says what to do next. Of a very long
     message the middle is left out.

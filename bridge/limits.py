@@ -51,7 +51,7 @@ EXPOSURE = Bounds(
     2.0**-EV_MAX,
     2.0**EV_MAX,
     "s",
-    "An exposure must be longer than 0 s and is given in seconds: mend it.",
+    "An exposure must be longer than 0 s and is given in seconds: fix it.",
 )
 
 #: Lighting levels other than 0. Data sets have 1/1024 to 1024; a level enters the networks as its logarithm.
@@ -77,7 +77,7 @@ RADIANCE_MAX = 1e12
 #: end, ln 3.4e38 = 88.7 = 74.9 + ln 1e6. What training reaches is far below, ln RADIANCE_MAX = 27.6 at most.
 LOG_RADIANCE_MAX = 74.0
 
-#: Pixels of a side that a camera is told to have; the largest sensors and scanners have a tenth.
+#: Pixels of a side that a camera may have; the largest sensors and scanners have a tenth.
 LARGEST_SIDE = 1 << 20
 #: Pixels of a picture. No picture of ours is larger; a header that claims more is damaged or hostile.
 MAX_PIXELS = 1 << 27

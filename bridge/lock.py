@@ -3,7 +3,7 @@
 
 The locks are the operating system's, so they go with the process however it ends, and a process that stands
 still keeps its own. The library is filelock: the extension brings it along. Some disks know no locks, and a
-Blender may lack the library: nothing is locked then, and who asks is told so.
+Blender may lack the library: nothing is locked then, and the caller learns it.
 """
 
 import os
@@ -94,7 +94,7 @@ class Claims:
     """Which of the jobs of a folder are this process's, for processes that share the work.
 
     A claim is the lock of a file of the job's name in ``folder``. A context manager: at its end all are given
-    back, and the folder goes with the last. ``warn`` is told, once, where nothing can be locked: then every
+    back, and the folder goes with the last. ``warn`` is called, once, where nothing can be locked: then every
     process does every job, which is safe only where their results may replace each other.
     """
 

@@ -96,7 +96,7 @@ class TrainResume:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainPause:
-    """Halt after the present iteration, or the first one of a training that is prepared; previews go on."""
+    """Halt after the present iteration, or the first one of a training being prepared; previews continue."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,8 +140,8 @@ class ModelExport:
 class PreviewCamera:
     """A pinhole camera: ``pose`` camera-to-world, 16 numbers row by row, Blender's axes; the rest pixels.
 
-    The rotation may be out of true by a hundredth and is then mended. The centre of the top left pixel is at
-    (0.5, 0.5); (``cx``, ``cy``) is where the axis meets the picture, so that a lens shift is an offset of it.
+    The rotation may be out of true by a hundredth and is then corrected. The centre of the top left pixel is
+    at (0.5, 0.5); (``cx``, ``cy``) is where the axis meets the picture, so that a lens shift offsets it.
     """
 
     pose: tuple[float, ...]
@@ -185,14 +185,14 @@ class StatusGet:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlTake:
-    """Steer the backend from this connection, whoever did before (who is told by an event)."""
+    """Steer the backend from this connection, whoever did before (an event informs them)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WhenClosed:
     """What becomes of a training when the connection in control closes, by intent or by a crash.
 
-    ``keep``: it goes on, and whoever connects next may steer it (so it is until this is sent). ``stop``:
+    ``keep``: it continues, and whoever connects next may steer it (so it is until this is sent). ``stop``:
     it saves and stops, unless a connection takes control within a few seconds.
     """
 

@@ -295,8 +295,7 @@ def refuse_what_is_not_ours(path: str | os.PathLike[str]) -> None:
         return
     except OSError as error:
         raise OutputError(
-            f"cannot write the model file {path}: what is there cannot be looked at: "
-            f"{error.strerror or error}",
+            f"cannot write the model file {path}: what is there cannot be read: {error.strerror or error}",
             "Only a model file is replaced: choose another name, or make it readable.",
         ) from error
     raise OutputError(

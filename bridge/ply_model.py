@@ -121,22 +121,22 @@ def model_of_cloud(
     """
     cloud, left_out = only_usable(path, cloud)
     sh = log_radiance_of(cloud.colour_sh, color_space)
-    told = [*cloud.notes]
+    notes = [*cloud.notes]
     if color_space == "SRGB":
-        told.append("Its colours are display-referred; they were linearised as sRGB.")
-    told.append("Nothing is known of its light: the lighting level scales everything.")
+        notes.append("Its colours are display-referred; they were linearised as sRGB.")
+    notes.append("Nothing is known of its light: the lighting level scales everything.")
     share = np.ones((len(sh), 1, 3), np.float32)
     arrays = {name: getattr(cloud, name) for name in ("position", "rotation", "scale", "opacity")}
     return _model(
         path,
         {**arrays, "log_radiance_sh": sh, "light_share": share},
         {"metadata": metadata or {}},
-        _Facts(cloud.colour_sh, left_out, tuple(told), cloud.up),
+        _Extras(cloud.colour_sh, left_out, tuple(notes), cloud.up),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Facts:
+class _Extras:
     """What a ``PlyModel`` has beside its model."""
 
     colour_sh: np.ndarray | None
@@ -145,10 +145,10 @@ class _Facts:
     up: Up
 
 
-def _model(path: Path, arrays: dict[str, np.ndarray], others: dict[str, Any], facts: _Facts) -> PlyModel:
+def _model(path: Path, arrays: dict[str, np.ndarray], others: dict[str, Any], extras: _Extras) -> PlyModel:
     """The model of ``arrays`` of N Gaussians, by ``Model``'s names, without those too bright to be drawn."""
     drawable = largest_log_radiance(arrays["log_radiance_sh"]) <= LOG_RADIANCE_MAX
-    colour_sh, left_out, notes = facts.colour_sh, facts.left_out, facts.notes
+    colour_sh, left_out, notes = extras.colour_sh, extras.left_out, extras.notes
     if not drawable.all():
         require_one(path, drawable)
         arrays = {name: array[drawable] for name, array in arrays.items()}
@@ -160,7 +160,7 @@ def _model(path: Path, arrays: dict[str, np.ndarray], others: dict[str, Any], fa
         model = Model(**arrays, **others)
     except (DataMismatchError, BadValueError) as error:  # which know arrays, and not where they are from
         raise type(error)(f"{path}: {error.message}", error.hint) from error
-    return PlyModel(model, colour_sh, left_out, notes, facts.up)
+    return PlyModel(model, colour_sh, left_out, notes, extras.up)
 
 
 def _lossless_model(path: Path, ply: GaussianPly) -> PlyModel:
@@ -190,7 +190,7 @@ def _lossless_model(path: Path, ply: GaussianPly) -> PlyModel:
         arrays["confidence"] = used[CONFIDENCE]
     exposures = _exposures(path, exposures_of(ply.comments, columns))
     others = {"lights": lights, **curve, "exposures": exposures, "metadata": _provenance(ply.comments)}
-    return _model(path, arrays, others, _Facts(None, left_out, tuple(notes), "z"))
+    return _model(path, arrays, others, _Extras(None, left_out, tuple(notes), "z"))
 
 
 def _turn_since(before: np.ndarray, now: np.ndarray) -> np.ndarray | None:

@@ -82,7 +82,7 @@ def begin(folder: Path) -> None:
         if foreign:
             raise OutputError(
                 f"{folder} holds {foreign[0]}, which is not a light probe's",
-                "Choose an empty folder, or that of a probe, which is made anew.",
+                "Choose an empty folder, or that of a probe, which is replaced.",
             )
         (folder / PROBE_FILE).unlink(missing_ok=True)
     except OSError as error:
@@ -106,7 +106,7 @@ def read_probe(folder: Path) -> Probe:
     path = folder / PROBE_FILE
     content = read_json_object(path)
     if content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise FileDamagedError(f"{path} is of no light probe that this version knows", "Make it anew.")
+        raise FileDamagedError(f"{path} is not a light probe of this version", "Make it again.")
     try:
         probe = Probe(
             at=_numbers(content["at"], 3),
@@ -120,9 +120,9 @@ def read_probe(folder: Path) -> Probe:
             source=str(content["source"]),
         )
     except (KeyError, TypeError, ValueError, OverflowError, BadValueError) as error:
-        raise FileDamagedError(f"{path} cannot be understood: {error}", "Make the probe anew.") from error
+        raise FileDamagedError(f"{path} cannot be understood: {error}", "Make the probe again.") from error
     if not (0.0 <= probe.unseen <= 1.0 and math.isfinite(probe.near)):
-        raise FileDamagedError(f"{path} cannot be understood: it has absurd numbers", "Make it anew.")
+        raise FileDamagedError(f"{path} cannot be understood: it has absurd numbers", "Make it again.")
     return probe
 
 

@@ -56,15 +56,15 @@ def regular_file(path: Path, remedy: str = "") -> Path:
     """``path``, which leads to a regular file, maybe over links; nothing is opened.
 
     ``remedy`` is the errors' hint. Raises ``FileMissingError`` where nothing or a folder is there,
-    ``FileDamagedError`` where it is a pipe, a socket or a device, or cannot be looked at.
+    ``FileDamagedError`` where it is a pipe, a socket or a device, or cannot be read.
     """
     try:
         mode = path.stat().st_mode
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ENOTDIR):
             raise FileMissingError(f"{path} is missing", remedy) from error
-        told = f"{path!s:.400}…" if error.errno == errno.ENAMETOOLONG else str(path)
-        raise FileDamagedError(f"{told} cannot be read: {error.strerror or error}", remedy) from error
+        shown = f"{path!s:.400}…" if error.errno == errno.ENAMETOOLONG else str(path)
+        raise FileDamagedError(f"{shown} cannot be read: {error.strerror or error}", remedy) from error
     except ValueError as error:  # a zero byte, or what no file's name can be spelled with
         raise FileMissingError(f"{str(path)!r} cannot be the name of a file", remedy) from error
     if stat.S_ISDIR(mode):
@@ -87,10 +87,10 @@ def damaged_where_it_fails(what: str, remedy: str = "") -> Iterator[None]:
     except PhysHDRError:
         raise
     except Exception as error:
-        raise FileDamagedError(f"{what} ({_told(error)})", remedy) from error
+        raise FileDamagedError(f"{what} ({_first_words(error)})", remedy) from error
 
 
-def _told(error: Exception) -> str:
+def _first_words(error: Exception) -> str:
     """What an error says, in one line, or its kind where it says nothing; OpenUSD's cannot be said where a
     file's bytes that it repeats are no UTF-8.
     """
@@ -142,7 +142,7 @@ def read_json(path: Path, remedy: str = "", limit: int = LARGEST_TEXT) -> Any:
     except json.JSONDecodeError as error:
         raise FileDamagedError(
             f"{path} is not valid JSON: line {error.lineno}, column {error.colno}: {error.msg}",
-            f"Mend that line. {remedy}".rstrip(),
+            f"Fix that line. {remedy}".rstrip(),
         ) from error
     except (ValueError, RecursionError) as error:  # not UTF-8, thousands of digits, thousands of brackets
         raise FileDamagedError(f"{path} cannot be read as JSON: {error}", remedy) from error

@@ -76,7 +76,7 @@ def read_shots(path: Path, fewest: int = 2) -> Shots:
     """
     content = read_json_object(Path(path), AGAIN)
     if content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise FileDamagedError(f"{path} is no {FORMAT} file of version {VERSION}", AGAIN)
+        raise FileDamagedError(f"{path} is not a {FORMAT} file of version {VERSION}", AGAIN)
     width, height, fps = content.get("w"), content.get("h"), content.get("fps")
     if not (_is_size(width) and _is_size(height) and is_number(fps) and 0.0 < fps <= 240.0):
         raise BadValueError(f"{path}: w, h and fps must be above 0, fps at most 240", AGAIN)

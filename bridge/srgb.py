@@ -11,14 +11,14 @@ OFFSET, SCALE, POWER = 0.055, 1.055, 2.4
 
 
 def to_linear(code: np.ndarray | float) -> np.ndarray:
-    """Scene-linear values of sRGB codes; codes above 1 go on along the curve."""
+    """Scene-linear values of sRGB codes; codes above 1 follow the curve further."""
     code = np.asarray(code)
     power = ((np.maximum(code, CODE_KNEE) + OFFSET) / SCALE) ** POWER
     return np.where(code <= CODE_KNEE, code / SLOPE, power)
 
 
 def to_srgb(linear: np.ndarray) -> np.ndarray:
-    """sRGB codes of scene-linear values; values above 1 go on along the curve."""
+    """sRGB codes of scene-linear values; values above 1 follow the curve further."""
     linear = np.asarray(linear)
     power = SCALE * np.maximum(linear, LINEAR_KNEE) ** (1.0 / POWER) - OFFSET
     return np.where(linear <= LINEAR_KNEE, linear * SLOPE, power)

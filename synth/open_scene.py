@@ -272,7 +272,8 @@ def _tell_what_is_missing(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, re
     if scripts.was_refused():
         report.warn(
             "Python in this file was not run, because nobody allowed it (Trusted Source on opening it, -y, "
-            "or Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"
+            "or Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look "
+            "otherwise"
         )
     for warning in simulations.warnings(scene, layer):
         report.warn(warning)

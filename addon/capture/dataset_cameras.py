@@ -79,7 +79,7 @@ def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Pat
         camera.matrix_world = to_matrix(placement.without_scale(stands @ frame.camera_to_world))
         cameras.append(camera)
     bpy.context.view_layer.update()
-    moved = sum(frame is not given for frame, given in zip(frames, found.frames, strict=True))
+    moved = sum(frame is not former for frame, former in zip(frames, found.frames, strict=True))
     notes = (*found.notes, LEARNED_NOTE.format(moved, len(frames))) if moved else found.notes
     return Imported(tuple(cameras), sum(frame.name not in there for frame in frames), notes)
 

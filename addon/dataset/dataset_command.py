@@ -61,7 +61,7 @@ def _arguments(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> li
             "no light varies in the views under other light",
             "Tick one of the lights, or set Views Under Other Light to 0.",
         )
-    given: dict[str, object] = {
+    options: dict[str, object] = {
         "out": out,
         "scene-name": scene.name,
         "exposures": ",".join(repr(2.0**ev) for ev in parse_evs(chosen.exposures)),
@@ -74,34 +74,34 @@ def _arguments(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> li
         "relit-views": min(chosen.relit_views, chosen.views // 2),
         "ambient-levels": chosen.ambient_levels,
     }
-    given |= _cameras(chosen)
+    options |= _cameras(chosen)
     lights = [f"--light={choice}" for choice in chosen.light_choices]
     denoise = "--denoise" if chosen.denoise else "--no-denoise"
-    return [*_written(given), *lights, denoise, "--progress-json"]
+    return [*_written(options), *lights, denoise, "--progress-json"]
 
 
-def _written(given: dict[str, object]) -> list[str]:
-    return [f"--{name}={value}" for name, value in given.items()]
+def _written(options: dict[str, object]) -> list[str]:
+    return [f"--{name}={value}" for name, value in options.items()]
 
 
 def _cameras(chosen: SimpleNamespace) -> dict[str, object]:
     """The options of how many cameras there are, of which size, and where, as far as that is not found by
     itself; ``BadValueError`` where they cannot be."""
-    given: dict[str, object] = {
+    options: dict[str, object] = {
         "camera-rig": chosen.rig.lower(),
         "views": chosen.views,
         "lit-views": chosen.lit_views,
         "resolution": "x".join(str(side) for side in (chosen.resolution_x, chosen.resolution_y) if side),
     }
     if chosen.rig != "PATH" and chosen.rig_distance:
-        given["rig-distance"] = chosen.rig_distance
+        options["rig-distance"] = chosen.rig_distance
     if chosen.rig == "GRID" and (chosen.rig_width or chosen.rig_height):
         if not (chosen.rig_width and chosen.rig_height):
             raise BadValueError("the grid has only one side", "Give both its width and its height.")
-        given["rig-extent"] = f"{chosen.rig_width}x{chosen.rig_height}"
+        options["rig-extent"] = f"{chosen.rig_width}x{chosen.rig_height}"
     if chosen.rig in {"ORBIT", "HEMISPHERE"}:
-        given["rig-arc"] = round(math.degrees(chosen.rig_arc), 4)
-    return given
+        options["rig-arc"] = round(math.degrees(chosen.rig_arc), 4)
+    return options
 
 
 def camera_options(chosen: SimpleNamespace, scene: bpy.types.Scene) -> Options:
@@ -150,8 +150,8 @@ def parse_evs(text: str) -> list[float]:
 
 def label(name: str, value: object) -> str:
     """The text of a setting whose 0 means that it is found by itself; it says so while it is 0."""
-    told: str = RenderOptions.__annotations__[name].keywords["name"]
-    return told if value or name not in AUTOMATIC else f"{told} (0: automatic)"
+    text: str = RenderOptions.__annotations__[name].keywords["name"]
+    return text if value or name not in AUTOMATIC else f"{text} (0: automatic)"
 
 
 #: Settings whose 0 means that they are found by themselves.

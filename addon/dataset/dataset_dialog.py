@@ -42,8 +42,8 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     _draw_lights(layout, settings, values)
     models = [item.name for item in scene.objects if is_model(item) and not item.hide_render]
     if models:
-        told = f"Trained models are left out of what is photographed: {', '.join(models)}"
-        _write(layout, textwrap.shorten(told, 3 * COLUMNS, placeholder=" …"), "INFO")
+        text = f"Trained models are left out of what is photographed: {', '.join(models)}"
+        _write(layout, textwrap.shorten(text, 3 * COLUMNS, placeholder=" …"), "INFO")
     if originals.are_hidden(scene):
         _write(layout, "The hidden originals are photographed, too", "INFO")
     if named := outside.not_chosen(settings):

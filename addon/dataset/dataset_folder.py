@@ -42,15 +42,15 @@ def _documents() -> Path:
     return user_folder()
 
 
-def chosen_folder(given: str) -> Path:
+def chosen_folder(text: str) -> Path:
     """The folder that was given, from the root on; it need not be there yet.
 
     Raises ``BadValueError`` where none is given, or one in a network that the user has not chosen;
     ``OutputError`` where the system refuses the path: it is too long, or of a computer that does not answer.
     """
-    if not given.strip():
+    if not text.strip():
         raise BadValueError("no folder is chosen for the data set", "Choose a new or empty one.")
-    folder = Path(outside.followed(whole(given)))
+    folder = Path(outside.followed(whole(text)))
     with _refusals_in_words(folder), suppress(FileNotFoundError, NotADirectoryError):
         folder.stat()
     return folder

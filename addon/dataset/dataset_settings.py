@@ -58,7 +58,7 @@ class RenderOptions:
         subtype="DIR_PATH",
         options=PATH,
         update=choosing("out"),
-        description="A new folder, or one to go on with",
+        description="A new folder, or one to continue",
     )
     rig: bpy.props.EnumProperty(name="Cameras", items=RIGS, options=CHOICE, update=_cameras_changed)
     views: bpy.props.IntProperty(
@@ -212,7 +212,7 @@ def settings_of(scene: bpy.types.Scene) -> PHYSHDR_DatasetSettings:
 
 
 def chosen(
-    scene: bpy.types.Scene, given: bpy.types.Operator | None = None, lights: str = ""
+    scene: bpy.types.Scene, operator: bpy.types.Operator | None = None, lights: str = ""
 ) -> SimpleNamespace:
     """What counts: arguments that were ``given``, else the scene's settings.
 
@@ -222,7 +222,7 @@ def chosen(
     settings = settings_of(scene)
     values = {
         name: getattr(
-            given if given is not None and given.properties.is_property_set(name) else settings, name
+            operator if operator is not None and operator.properties.is_property_set(name) else settings, name
         )
         for name in OPTIONS
     }

@@ -75,7 +75,7 @@ def _keep(rate: float, device: str, scene: bpy.types.Scene | None, by: str) -> N
 def estimate(
     chosen: SimpleNamespace, scene: bpy.types.Scene, home: Path, out: Path | None
 ) -> tuple[float, str]:
-    """Seconds, negative where nobody knows, and by what they are told."""
+    """Seconds, negative where nobody knows, and by what they are estimated."""
     pictures = max(1, dataset_command.pictures(chosen) - (rendered(out) if out else 0))
     work = pictures * _samples(chosen, scene)
     settings = settings_of(scene)

@@ -9,7 +9,7 @@ from ...bridge.errors import DataMismatchError
 
 #: What uses images that renders show. Others use them to work with: brushes, background images, editors.
 _SHOWN_BY = {"MATERIAL", "WORLD", "LIGHT", "NODETREE", "TEXTURE", "OBJECT"}
-#: Characters of the images' names that are told.
+#: Characters of the images' names that are shown.
 _NAMES = 100
 
 

@@ -97,7 +97,7 @@ def read_pose(path: Path, index: int) -> Pose:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or not 0.0 < angle_x < np.pi:
         raise BadValueError(
             f"{path}: camera {index} is not a finite 4×4 pose with an angle in (0, π)",
-            "Mend the file or make the data set again.",
+            "Fix the file or make the data set again.",
         )
     check_position(matrix[:3, 3], f"{path}: camera {index}")
     return Pose(matrix, angle_x, name)
@@ -295,7 +295,7 @@ def _frame(path: Path, name: str, split: str, given: dict[str, Any]) -> Frame:
     check_position(matrix[:3, 3], where)
     width, height = (_number(where, given, key) for key in "wh")
     if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
-        raise BadValueError(f"{where} is said to be {width:g}×{height:g} pixels", "Mend 'w' and 'h'.")
+        raise BadValueError(f"{where} is said to be {width:g}×{height:g} pixels", "Fix 'w' and 'h'.")
     fx, fy = _focal(where, given, "x", width), _focal(where, given, "y", height)
     fx, fy = fx or fy, fy or fx
     if fx is None or fy is None:
@@ -312,7 +312,7 @@ def _frame(path: Path, name: str, split: str, given: dict[str, Any]) -> Frame:
 def _number(where: str, given: dict[str, Any], key: str) -> float:
     value = given[key]
     if not is_number(value):
-        raise BadValueError(f"{where}: '{key}' is {value!r:.80}, no number", "Mend it in that file.")
+        raise BadValueError(f"{where}: '{key}' is {value!r:.80}, no number", "Fix it in that file.")
     return float(value)
 
 
@@ -325,7 +325,7 @@ def _focal(where: str, given: dict[str, Any], axis: str, side: float) -> float |
         return None
     angle = _number(where, given, key)
     if not 0.0 < angle < math.pi:
-        raise BadValueError(f"{where}: '{key}' is {angle:g}", "Mend it: radians, between 0 and π.")
+        raise BadValueError(f"{where}: '{key}' is {angle:g}", "Fix it: radians, between 0 and π.")
     return FOCAL_LENGTH.check(0.5 * side / math.tan(0.5 * angle), f"{where}: the focal length of '{key}'")
 
 

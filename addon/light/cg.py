@@ -216,7 +216,7 @@ def _remove(plane: bpy.types.Object) -> None:
 
 
 def _beauty(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
-    """The layer whose picture gets the shadow: the one of before, else the first that is not ours."""
+    """The layer whose picture gets the shadow: the former one, else the first that is not ours."""
     known = scene.view_layers.get(str(scene.get(BEAUTY, "")))
     own = [each for each in scene.view_layers if each.name not in (SHADOW_LAYER, FRONT_LAYER)]
     return known or own[0]

@@ -207,7 +207,7 @@ def load_images(probe: bpy.types.Object) -> list[bpy.types.Image]:
             if not path.startswith("//"):
                 image.pack()
         elif image is None or not (
-            # The .blend was saved elsewhere: Blender has led its own path back to the folder of before.
+            # The .blend was saved elsewhere: Blender has led its own path back to the former folder.
             image.packed_file or outside.is_file(Path(bpy.path.abspath(image.filepath)))
         ):
             raise FileMissingError(f"{on_disk} is missing", f"Take the light at {probe.name} again.")
@@ -298,7 +298,7 @@ class _Assembly:
         return (active or outputs or [self.tree.nodes.new("ShaderNodeOutputWorld")])[0]
 
     def _cleared(self, surface: Any) -> bpy.types.NodeSocket | None:
-        """Remove our nodes of before; the socket of what the user's own world shows, if it shows anything."""
+        """Remove our former nodes; the socket of what the user's own world shows, if it shows anything."""
         behind = surface.links[0].from_socket if surface.links else None
         if behind is not None and OURS in behind.node:
             link = behind.node.inputs[2].links
@@ -354,8 +354,8 @@ class _Assembly:
         subject = self.world.get(SUBJECT) or self.scene.camera
         if not isinstance(subject, bpy.types.Object):  # nothing to be near to: all alike
             subject = None
-        told = f"how near each probe is to {subject.name}" if subject else "all probes alike"
-        with make.frame(f"Weights: {told}"):
+        text = f"how near each probe is to {subject.name}" if subject else "all probes alike"
+        with make.frame(f"Weights: {text}"):
             for probe in probes:
                 near = self._presence(probe)
                 if subject is not None:

@@ -22,7 +22,7 @@ from .probes import Place, has_moved, known
 OUTSIDE, HIDDEN, DRAWN = "physhdr_probe_outside", "physhdr_probe_hidden", "physhdr_probe_drawn"
 #: What point clouds draw, and their ``fingerprint`` when that was found, by ``session_uid``.
 _drawn: dict[int, tuple[tuple[int, ...], str]] = {}
-#: Those of which Blender has told a change since: perhaps of a modifier's input alone.
+#: Those of which Blender has reported a change since: perhaps of a modifier's input alone.
 _suspects: set[int] = set()
 
 
@@ -38,16 +38,16 @@ def note(probe: bpy.types.Object, model: bpy.types.Object, drawn: str) -> None:
 
 def warnings_of(probe: bpy.types.Object, model: bpy.types.Object) -> list[str]:
     """Sentences for the panel, the gravest first; none where all is well."""
-    found, told = known(probe), []
+    found, warnings = known(probe), []
     if has_moved(probe):
-        told.append("It was moved: take its light again")
+        warnings.append("It was moved: take its light again")
     if _is_edited(probe, model) or probe.get(HIDDEN, "") != _hidden(model):
-        told.append("The model was edited since: take its light again")
+        warnings.append("The model was edited since: take its light again")
     if probe.get(OUTSIDE):
-        told.append("No camera saw this place: what is around it may be far from true")
+        warnings.append("No camera saw this place: what is around it may be far from true")
     if found.unseen > MUCH_UNSEEN:
-        told.append(f"{found.unseen:.0%} of what is around was never seen: a guess from its rim")
-    return told
+        warnings.append(f"{found.unseen:.0%} of what is around was never seen: a guess from its rim")
+    return warnings
 
 
 def _is_edited(probe: bpy.types.Object, model: bpy.types.Object) -> bool:

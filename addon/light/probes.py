@@ -120,7 +120,7 @@ def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> 
 def new_folder(name: str) -> str:
     """A folder for panoramas that are about to be taken at a probe: beside the .blend, ``//`` and all.
 
-    Never one of before, of which an undo, a copy of this file or a probe of the same name may still tell.
+    Never a former one, which an undo, a copy of this file or a probe of the same name may still name.
     Before the .blend is saved, it is in Blender's own for temporary files, from which they are packed.
     """
     own = f"{bpy.path.clean_name(name) or 'probe'}_{uuid.uuid4().hex[:12]}"
@@ -165,7 +165,7 @@ def _is_for(own: list[bpy.types.Object], model: bpy.types.Object) -> bool:
 
 
 def _take_off(probe: bpy.types.Object, model: bpy.types.Object) -> dict[str, tuple[float, ...]] | None:
-    """Let a probe know nothing of its model, and stand where it does; returns its transform of before."""
+    """Let a probe know nothing of its model, and stand where it does; returns its former transform."""
     del probe[MODEL]
     if probe.parent != model:
         return None

@@ -127,8 +127,8 @@ def declare_cleaning(interface: Any, has_directions: bool) -> None:
             for key, value in each.properties.items():
                 setattr(socket, key, value)
 
-    told = "What is hidden from every side. Lengths are those of the model's file"
-    inside = panel(nodes.CLEANING_PANEL, told)
+    text = "What is hidden from every side. Lengths are those of the model's file"
+    inside = panel(nodes.CLEANING_PANEL, text)
     declare(inside, _HIDING)
     renders = panel(nodes.CULLING_PANEL, "What is left out of the picture of the camera that renders")
     declare(renders, (*_CULLING, _DIRECTIONS) if has_directions else _CULLING)

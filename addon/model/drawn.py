@@ -72,7 +72,7 @@ def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
 
 def _sum_of_bits(values: np.ndarray) -> int:
     """Of 64 at a time, four times as fast as of 32; each times what tells its place, so that two that were
-    exchanged are told, too (but for every ``len(_WEIGHTS)``-th)."""
+    exchanged are noticed, too (but for every ``len(_WEIGHTS)``-th)."""
     bits = values.reshape(-1).view(np.uint32)
     pairs = bits[: len(bits) // 2 * 2].view(np.uint64)
     whole = len(pairs) // len(_WEIGHTS) * len(_WEIGHTS)

@@ -56,17 +56,17 @@ def edited_model(
     Raises ``DataMismatchError`` and ``BadValueError`` for what cannot be saved.
     """
     cloud = cloud_of(target)
-    model, told = model_of(cloud), []
+    model, notes = model_of(cloud), []
     if leave_out:
         keep = kept_of(cloud, cleaning.without_camera())
         model = subset(model, keep)
         if hidden := len(keep) - int(keep.sum()):
-            told.append(f"{hidden} of {len(keep)} Gaussians left out")
+            notes.append(f"{hidden} of {len(keep)} Gaussians left out")
     matrix = np.array(world_of(target), np.float64)
     metadata = dict(model.metadata)
     if apply_transform and not np.array_equal(matrix, np.eye(4)):
         model = transformed(model, matrix)
         metadata[SPACE] = WORLD
-        told.append("in the world of the scene")
-    metadata["edited"] = f"Blender {bpy.app.version_string}" + "".join(f", {each}" for each in told)
+        notes.append("in the world of the scene")
+    metadata["edited"] = f"Blender {bpy.app.version_string}" + "".join(f", {each}" for each in notes)
     return dataclasses.replace(model, metadata=metadata)

@@ -202,8 +202,8 @@ def model_of(cloud: bpy.types.PointCloud) -> Model:
 
 def photographed_ev_of(target: bpy.types.Object) -> float:
     """The EV at which a model looks as its photographs; 0 where it is of none."""
-    told = cloud_of(target).get(metadata_property(PHOTOGRAPHED_EV), "")
-    return photographed_ev({PHOTOGRAPHED_EV: str(told)})
+    stored = cloud_of(target).get(metadata_property(PHOTOGRAPHED_EV), "")
+    return photographed_ev({PHOTOGRAPHED_EV: str(stored)})
 
 
 def _provenance(model: Model) -> dict[str, Any]:

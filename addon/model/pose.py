@@ -4,7 +4,7 @@ object.
 
 *Apply* (Ctrl+A), *Set Origin*, and a turn of all points in Edit Mode move the points, and leave the axes,
 sizes and colours by direction of the Gaussians as they were. Besides, the points' space is the data set's:
-cameras, probes and limits in metres are told in it. So the object takes the change, which looks the same and
+cameras, probes and limits in metres are in it. So the object takes the change, which looks the same and
 is exact.
 
 Each point cloud remembers a few of its Gaussians (``WITNESS``). What is compared stands in the file and in
@@ -81,7 +81,7 @@ def settle(cloud: bpy.types.PointCloud) -> Notice | None:
     if any(each.mode == "EDIT" for each in users):
         if not added:
             cloud[MOVED] = True
-        elif MOVED not in cloud:  # what the rest does from here on can be told
+        elif MOVED not in cloud:  # what the rest does from here on can be detected
             remember(cloud)
         return None
     change = None

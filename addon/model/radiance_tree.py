@@ -108,8 +108,8 @@ def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool, lights: tuple[
     declare("Geometry", "Geometry")
     declare(EXPOSURE, "Float", "Radiance is multiplied by 2 to this power", min_value=-30.0, max_value=30.0)
     for index in range(len(lights)):
-        told = level_description(lights, index)
-        declare(level_input(lights, index), "Float", told, default_value=1.0, min_value=0.0)
+        text = level_description(lights, index)
+        declare(level_input(lights, index), "Float", text, default_value=1.0, min_value=0.0)
     if has_curve:
         declare(
             TONE_MAPPER,

@@ -129,11 +129,11 @@ def _declare(tree: bpy.types.NodeTree) -> None:
 
 def _build(make: CompositorBuilder, curve: ToneCurve) -> None:
     with make.frame("Radiance · 2^EV, without alpha"):
-        given = make.node("NodeGroupInput")
-        parts = make.node("CompositorNodeSeparateColor", make.output(given, IMAGE))
-        alpha, black = make.output(parts, "Alpha"), make.output(given, OVER_BLACK)
+        inputs = make.node("NodeGroupInput")
+        parts = make.node("CompositorNodeSeparateColor", make.output(inputs, IMAGE))
+        alpha, black = make.output(parts, "Alpha"), make.output(inputs, OVER_BLACK)
         covered = make.switch(black, make.math("MAXIMUM", alpha, THINNEST), 1.0)
-        gain = make.math("POWER", 2.0, make.output(given, EXPOSURE)) / covered
+        gain = make.math("POWER", 2.0, make.output(inputs, EXPOSURE)) / covered
         exposed = [make.output(parts, name) * gain for name in ("Red", "Green", "Blue")]
     developed = learned_response(make, exposed, curve)
     with make.frame("With alpha again"):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """*Bake to PLY*: the active model's look for any 3DGS viewer. Its colours are fitted by the backend, in a
-process of its own: one goes on working beside it."""
+process of its own: you keep working beside it."""
 
 import shutil
 import tempfile
@@ -165,7 +165,7 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
         except PhysHDRError:
             baking.discard()
             raise
-        told = f"Wrote {model.count} Gaussians to {path}, fitted to the model's pictures"
+        text = f"Wrote {model.count} Gaussians to {path}, fitted to the model's pictures"
         if self.wait:
             try:
                 if not wait_for_task(self, BAKE, WAIT_SECONDS):
@@ -173,7 +173,7 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
                     return {"CANCELLED"}
                 if baking.fitted.is_file():
                     baking.take()
-                return report_task(self, told)
+                return report_task(self, text)
             finally:
                 baking.discard()
 

@@ -76,7 +76,7 @@ class PhysHDROperator(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        given = Choices(
+        choices = Choices(
             data="given",
             out="given",
             out_has_run=True,
@@ -84,7 +84,7 @@ class PhysHDROperator(bpy.types.Operator):
             photos="given",
             photos_out="given",
         )
-        reason = why_not(session().state, cls.action, given)
+        reason = why_not(session().state, cls.action, choices)
         if reason:
             cls.poll_message_set(reason)
         return not reason
@@ -109,11 +109,11 @@ class OnModel(bpy.types.Operator):
         target = context.object
         assert is_model(target)
         try:
-            told = self.act(context, target)
+            text = self.act(context, target)
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, told)
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
     def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
@@ -124,7 +124,7 @@ class OnModel(bpy.types.Operator):
 def wait_for_task(operator: bpy.types.Operator, task: str, seconds: float) -> bool:
     """For scripts: until a task has ended, or an interrupt, which cancels it.
 
-    False where it goes on after ``seconds``, which is reported as an error.
+    False where it still runs after ``seconds``, which is reported as an error.
     """
     current = session()
     try:
@@ -133,8 +133,8 @@ def wait_for_task(operator: bpy.types.Operator, task: str, seconds: float) -> bo
         current.cancel_task(task)
         raise
     if not has_ended and (running := current.state.task(task)):
-        told = f"{task} has not ended within {seconds:.0f} s: see its log {running.log}"
-        operator.report({"ERROR"}, told)
+        text = f"{task} has not ended within {seconds:.0f} s: see its log {running.log}"
+        operator.report({"ERROR"}, text)
     return has_ended
 
 

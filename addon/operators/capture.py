@@ -36,7 +36,7 @@ POINTS = {
 GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
 #: Of the points that are picked, as they are drawn: orange, pixels across.
 COLOUR, SIZE = (1.0, 0.45, 0.0, 1.0), 9.0
-#: What turns and moves the view goes on doing so while points are picked.
+#: What turns and moves the view keeps doing so while points are picked.
 NAVIGATION = ("MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "NDOF_MOTION")
 
 
@@ -360,8 +360,8 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
         context.view_layer.update()  # what was taken out of it is still among its objects else
         target = self._model()
         if target is None or target not in context.view_layer.objects.values() or context.mode != "OBJECT":
-            told = f"{self._target} is no longer in this view layer, or Object Mode was left"
-            self.report({"ERROR"}, f"The points were not used: {told}. Select the model and pick them again.")
+            text = f"{self._target} is no longer in this view layer, or Object Mode was left"
+            self.report({"ERROR"}, f"The points were not used: {text}. Select the model and pick them again.")
             return {"CANCELLED"}
         context.view_layer.objects.active = target
         names = ("first", "second", "third")

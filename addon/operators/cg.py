@@ -91,19 +91,19 @@ class PHYSHDR_OT_cg_here(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         moved, left = stood(context, place) if self.stand else (0, "")
-        told = f"Ground at z = {place.z:.3g} m"
+        text = f"Ground at z = {place.z:.3g} m"
         if moved:
-            told += f", {counted(moved, 'object')} put onto it"
+            text += f", {counted(moved, 'object')} put onto it"
         if scene.render.engine != "CYCLES":
-            told += ". Its shadow is drawn by Cycles alone"
-        self.report({"WARNING" if left else "INFO"}, f"{told}. {left}" if left else told)
+            text += ". Its shadow is drawn by Cycles alone"
+        self.report({"WARNING" if left else "INFO"}, f"{text}. {left}" if left else text)
         return {"FINISHED"}
 
 
 def stood(context: bpy.types.Context, place: Vector) -> tuple[int, str]:
     """Move the selected bodies together so that the middle of their underside is at ``place``.
 
-    Returns how many, and what is told of those that stay: the next frame, or reopening the file, would put
+    Returns how many, and a note about those that stay: the next frame, or reopening the file, would put
     them back.
     """
     chosen = [each for each in context.selected_objects or () if each.type in BODIES and cg.MARK not in each]

@@ -44,8 +44,8 @@ class _OnModel(OnModel):
             cls.poll_message_set("The model is linked from another file: clean it there")
             return False
         if cls.edits_points and cloud_of(target).override_library is not None:
-            told = "Blender does not save changes to the points of a library override"
-            cls.poll_message_set(f"{told}: clean the model in its own file")
+            text = "Blender does not save changes to the points of a library override"
+            cls.poll_message_set(f"{text}: clean the model in its own file")
             return False
         if not len(cloud_of(target).points):
             cls.poll_message_set("The model has no Gaussians: all were deleted")
@@ -184,10 +184,10 @@ class PHYSHDR_OT_cleaning_apply(_OnModel):
             keep_points(cloud, keep)
         # Undo in Edit Mode brings back points, not sliders. There the limits stay: they hide nothing more.
         animated = _reset(target) if context.mode == "OBJECT" else []
-        told = f"Removed {removed} of {len(keep)} Gaussians"
+        text = f"Removed {removed} of {len(keep)} Gaussians"
         if cloud.users > 1:
-            told += f", of all {cloud.users} objects with this point cloud"
-        return f"{told}. Animated limits stay: {', '.join(animated)}" if animated else told
+            text += f", of all {cloud.users} objects with this point cloud"
+        return f"{text}. Animated limits stay: {', '.join(animated)}" if animated else text
 
 
 class PHYSHDR_OT_cleaning_measure(_OnModel):
@@ -274,7 +274,7 @@ def find_floaters(context: bpy.types.Context, target: bpy.types.Object) -> np.nd
     cloud = cloud_of(target)
     try:
         distance = camera_distances(context, target)
-    except PhysHDRError:  # without its data set they are told by size and opacity alone
+    except PhysHDRError:  # without its data set they are found by size and opacity alone
         distance = None
     position, scale = read_attribute(cloud, POSITION.name), read_attribute(cloud, SCALE.name)
     return floaters(position, scale, read_attribute(cloud, BASE.name)[:, 3], distance)

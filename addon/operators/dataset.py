@@ -163,7 +163,7 @@ def _blender(copy: Path, binary: str) -> list[str]:
 
 
 def _left_out(scene: bpy.types.Scene) -> list[str]:
-    """What is told of models that were not photographed."""
+    """A note about models that were not photographed."""
     names = [item.name for item in scene.objects if is_model(item) and not item.hide_render]
     return [f"Left out of what is photographed, trained models: {', '.join(names)}"] if names else []
 

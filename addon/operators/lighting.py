@@ -250,8 +250,8 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
 
     def _told(self, made: Sequence[Probe]) -> set[str]:
         for probe in made:
-            told = f"{probe.unseen:.0%} of the sphere was never seen and is filled from its rim"
-            self.report({"WARNING" if probe.unseen > MUCH_UNSEEN else "INFO"}, told)
+            text = f"{probe.unseen:.0%} of the sphere was never seen and is filled from its rim"
+            self.report({"WARNING" if probe.unseen > MUCH_UNSEEN else "INFO"}, text)
         return {"FINISHED"}
 
 

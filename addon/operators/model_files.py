@@ -120,8 +120,8 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         next_step = [SET_UP_NEXT] if render_problems(context.scene) else []
         for each in imported:
             count = len(cloud_of(each.target).points)
-            told = f"Imported {count} Gaussians as {each.target.name!r}."
-            self.report({"INFO"}, " ".join([told, *each.notes, *next_step]))
+            text = f"Imported {count} Gaussians as {each.target.name!r}."
+            self.report({"INFO"}, " ".join([text, *each.notes, *next_step]))
         return {"FINISHED"}
 
     def _paths(self) -> list[Path]:

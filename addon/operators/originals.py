@@ -30,7 +30,7 @@ class PHYSHDR_OT_originals_hide(bpy.types.Operator):
         name="Lights Too",
         default=True,
         description="Hide the lights among them: the model has their light in it, and walls that are hidden "
-        "shade nothing. Off: they go on lighting what you add",
+        "shade nothing. Off: they keep lighting what you add",
     )
 
     @classmethod
@@ -57,12 +57,12 @@ class PHYSHDR_OT_originals_hide(bpy.types.Operator):
         if are_hidden(scene):
             originals.show(scene)  # else what was hidden before would be forgotten
         count = originals.hide(scene, self.lights)
-        told = "Hidden, with their lights" if self.lights else "Hidden, but for their lights"
-        self.report({"INFO"}, f"{told}: {_objects(count)}; the same button shows them again")
+        text = "Hidden, with their lights" if self.lights else "Hidden, but for their lights"
+        self.report({"INFO"}, f"{text}: {_objects(count)}; the same button shows them again")
         if animated := originals.shown_by_animation(scene):
             names = names_of(animated)
-            told = f"{names}: shown again by keyframes or drivers of their visibility. Mute those"
-            self.report({"WARNING"}, told)
+            text = f"{names}: shown again by keyframes or drivers of their visibility. Mute those"
+            self.report({"WARNING"}, text)
         return {"FINISHED"}
 
 

@@ -70,8 +70,8 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
         current.wait(lambda state: state.task(LOOK) is None, LOOK_SECONDS)
         found = current.state.photos
         if found.problem or not found.lines:
-            told = (found.problem.message, found.problem.hint) if found.problem else ("it was cancelled",)
-            self.report({"ERROR"}, ": ".join(filter(None, told)))
+            text = (found.problem.message, found.problem.hint) if found.problem else ("it was cancelled",)
+            self.report({"ERROR"}, ": ".join(filter(None, text)))
             return {"CANCELLED"}
         for line in found.lines:
             self.report({"INFO"}, line)
@@ -126,9 +126,9 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         out = _folder(self._chosen(context, "out", "photos_out") or proposed_folder(photos), "the data set")
         if out == photos:
             raise OutputError(f"{out} holds the photos", "Choose another folder for the data set.")
-        given = {name: getattr(self, name) for name in OPTIONS if self.properties.is_property_set(name)}
+        overrides = {name: getattr(self, name) for name in OPTIONS if self.properties.is_property_set(name)}
         self._chosen(context, "exposures", "photos_exposures")
-        options = photo_options(context.scene.physhdr, **given)
+        options = photo_options(context.scene.physhdr, **overrides)
         arguments = prepare_command(str(photos), str(out), options.to_prepare, self.overwrite)
         command = current.backend_command(*arguments)
         current.start_task(PHOTOS, command, current.home / "photos.log", current.environment())
@@ -218,10 +218,10 @@ def _choose_when_done(uid: int) -> None:
     take_when_ended(PHOTOS, take, "Prepare Photos")
 
 
-def _folder(given: str, what: str) -> Path:
-    if not given.strip():
+def _folder(overrides: str, what: str) -> Path:
+    if not overrides.strip():
         raise BadValueError(f"no folder is chosen for {what}", "Choose one, or give it as an argument.")
-    return Path(whole(given))
+    return Path(whole(overrides))
 
 
 _CLASSES = (PHYSHDR_OT_photos_look, PHYSHDR_OT_photos_prepare, PHYSHDR_OT_photos_forget)

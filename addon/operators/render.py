@@ -171,8 +171,8 @@ class PHYSHDR_OT_develop_render(bpy.types.Operator):
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        told = f"Renders are developed by the response of {target.name!r}, and whatever else is in them"
-        self.report({"INFO"}, told)
+        text = f"Renders are developed by the response of {target.name!r}, and whatever else is in them"
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
@@ -229,9 +229,9 @@ class PHYSHDR_OT_cameras_import(bpy.types.Operator):
         if self.look_through or scene.camera is None:
             scene.camera = first_of(done.cameras)
         kept = len(done.cameras) - done.added
-        told = f"{done.added} cameras of {origin.capture_of(target)}"
-        told += f", and {kept} put back." if kept else "."
-        self.report({"INFO"}, " ".join([told, *done.notes]))
+        text = f"{done.added} cameras of {origin.capture_of(target)}"
+        text += f", and {kept} put back." if kept else "."
+        self.report({"INFO"}, " ".join([text, *done.notes]))
         return {"FINISHED"}
 
 

@@ -2,7 +2,7 @@
 """Operators for what a run is worth and what it shows: evaluate it, make a video or a web page of it.
 
 All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``), in a process of its own: one
-goes on working beside it.
+keeps working beside it.
 """
 
 import subprocess
@@ -119,10 +119,10 @@ class _OnRun(PhysHDROperator):
         """The run's folder, and its data set where that is elsewhere now (else empty). Raises errors."""
         choose_named(context)
         state = session().state
-        given = whole(self.run_folder)
-        run = given or shown_run(context, state)
-        if given and not has_run(given):
-            raise FileMissingError(f"there is no trained run in {given}", "Choose the folder of a run.")
+        chosen = whole(self.run_folder)
+        run = chosen or shown_run(context, state)
+        if chosen and not has_run(chosen):
+            raise FileMissingError(f"there is no trained run in {chosen}", "Choose the folder of a run.")
         if reason := why_not_on_run(state, self.task, run):
             raise BadValueError(reason)
         return run, moved_data(run, choices(context).data)
@@ -137,7 +137,7 @@ class _OnRun(PhysHDROperator):
 
 class PHYSHDR_OT_results_evaluate(_OnRun):
     """Compare the run's pictures with photographs that training never saw: how good it is, and where not.
-    It goes on beside your work"""
+    It runs beside your work"""
 
     bl_idname = "physhdr.results_evaluate"
     bl_label = "Evaluate"
@@ -171,7 +171,7 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
 
 class PHYSHDR_OT_results_video(_OnRun):
     """Make a video of the run, drawn by the backend: along the scene's camera with all keyframes, or along
-    the photographs. It goes on beside your work"""
+    the photographs. It runs beside your work"""
 
     bl_idname = "physhdr.results_video"
     bl_label = "Video"
@@ -204,10 +204,10 @@ class PHYSHDR_OT_results_video(_OnRun):
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        given = self.properties.is_property_set
-        if not given("format") and self.format == "MP4" and not encodes(session()):
+        is_set = self.properties.is_property_set
+        if not is_set("format") and self.format == "MP4" and not encodes(session()):
             self.format = "WEBP"
-        if not given("path") and self.path == "CAMERA" and context.scene.camera is None:
+        if not is_set("path") and self.path == "CAMERA" and context.scene.camera is None:
             self.path = "SPLINE"
         return context.window_manager.invoke_props_dialog(self, width=360, title="Video", confirm_text="Make")
 
@@ -244,13 +244,13 @@ class PHYSHDR_OT_results_video(_OnRun):
     def _out(self, run: str) -> Path:
         suffix = SUFFIXES[self.format]
         if self.filepath:
-            given = Path(whole(self.filepath))
-            ending = given.suffix.lower()
+            chosen = Path(whole(self.filepath))
+            ending = chosen.suffix.lower()
             if ending == suffix:
-                return given
+                return chosen
             # Another format's ending is replaced; what else follows a dot belongs to the name.
             is_other = ending in SUFFIXES.values() and ending != ""
-            return given.with_name(f"{given.stem if is_other else given.name}{suffix}")
+            return chosen.with_name(f"{chosen.stem if is_other else chosen.name}{suffix}")
         return first_free(Path(run) / f"video{suffix}", suffix)
 
     def _options(self, context: bpy.types.Context, run: str) -> VideoOptions:
@@ -346,11 +346,11 @@ class PHYSHDR_OT_results_web(_OnRun):
     def _out(self, run: str) -> Path:
         if not self.filepath:
             return Path(run).absolute() / (WEB_FILE if self.single_file else WEB_FOLDER)
-        given = Path(whole(self.filepath))
-        is_html = given.suffix.lower() in (".html", ".htm")
+        chosen = Path(whole(self.filepath))
+        is_html = chosen.suffix.lower() in (".html", ".htm")
         if self.single_file:
-            return given if is_html else given.with_name(f"{given.name}.html")
-        return given.with_suffix("") if is_html else given
+            return chosen if is_html else chosen.with_name(f"{chosen.name}.html")
+        return chosen.with_suffix("") if is_html else chosen
 
 
 def filmed(context: bpy.types.Context, run: str, data: str) -> bpy.types.Object | None:

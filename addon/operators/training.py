@@ -70,7 +70,7 @@ def wait_for(
         operator.report({"ERROR"}, " ".join(filter(None, (problem.message, problem.hint))))
         return {"CANCELLED"}
     if not reached:
-        operator.report({"WARNING"}, f"not {what} within {seconds:.0f} s; it goes on")
+        operator.report({"WARNING"}, f"not {what} within {seconds:.0f} s; it continues")
         return {"CANCELLED"}
     operator.report({"INFO"}, f"{what}: {describe(current.state.job)}")
     return {"FINISHED"}
@@ -112,7 +112,7 @@ def _run_folder(operator: bpy.types.Operator, context: bpy.types.Context, data: 
 
 
 def _remember(context: bpy.types.Context, out: str, data: str = "") -> None:
-    """What was begun is the scene's choice where it has none: the panel then goes on with that."""
+    """What was begun is the scene's choice where it has none: the panel then continues with that."""
     chosen = context.scene.physhdr
     if context.scene.is_editable:
         if data and not chosen.data:
@@ -163,7 +163,7 @@ class PHYSHDR_OT_train_start(_Training):
                 self,
                 event,
                 title="Replace the training in this folder?",
-                message=f"{out} holds a trained run. Resume goes on with it instead.",
+                message=f"{out} holds a trained run. Resume continues it instead.",
                 confirm_text="Replace",
                 icon="WARNING",
             )
@@ -248,7 +248,7 @@ def _data_now(operator: bpy.types.Operator, context: bpy.types.Context, run: str
 
 
 class PHYSHDR_OT_train_pause(PhysHDROperator):
-    """Halt the training after the present iteration; the preview goes on"""
+    """Halt the training after the present iteration; the preview continues"""
 
     bl_idname = "physhdr.train_pause"
     bl_label = "Pause"

@@ -42,8 +42,8 @@ class _Backend(Subpanel):
                 draw_extend(context, layout, state)
         if state.link.status == "off":
             if state.link.pid:
-                told = f"Process {state.link.pid} {silence(state.link)}"
-                write(context, layout, told, "UNLINKED")
+                text = f"Process {state.link.pid} {silence(state.link)}"
+                write(context, layout, text, "UNLINKED")
                 text = "End Now" if state.link.barred == ENDING else "End It"
                 layout.operator("physhdr.backend_shutdown", text=text, icon="QUIT")
             return
@@ -53,8 +53,8 @@ class _Backend(Subpanel):
         row.operator("physhdr.log_open", text="", icon="TEXT").filepath = state.link.log
         row.operator("physhdr.backend_shutdown", text="", icon="QUIT")
         if welcome and welcome.version != session().version:
-            told = f"It is of version {welcome.version}: shut it down to use {session().version}"
-            write(context, layout, told, "ERROR")
+            text = f"It is of version {welcome.version}: shut it down to use {session().version}"
+            write(context, layout, text, "ERROR")
         if welcome and not state.job.in_control:
             write(context, layout, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
             layout.operator("physhdr.control_take", icon="UNLOCKED")
@@ -68,8 +68,8 @@ class _Backend(Subpanel):
         row.operator("physhdr.backend_check", text="Check")
         row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
         if state.backend.missing:
-            told = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
-            write(context, layout, told, "INFO")
+            text = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
+            write(context, layout, text, "INFO")
             draw_extend(context, layout, state)
 
 
@@ -82,7 +82,7 @@ class PHYSHDR_PT_backend(_Backend, bpy.types.Panel):
 
 
 class PHYSHDR_PT_backend_ready(_Backend, bpy.types.Panel):
-    """Last and folded, once there is one: what it does is told above."""
+    """Last and folded, once there is one: what it does is shown above."""
 
     bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
     bl_order = 100
@@ -104,12 +104,12 @@ def is_of_others(state: State) -> bool:
 
 
 def warnings_of(report: dict) -> list[str]:
-    """What the check found odd; what photos lack is told beside its remedy.
+    """What the check found odd; what photos lack is shown beside its remedy.
 
     A torch that is for a card, and computes on the processor, is odd, too.
     """
-    told = report.get("warnings")
-    texts = [text for text in told if isinstance(text, str)] if isinstance(told, list) else []
+    warnings = report.get("warnings")
+    texts = [text for text in warnings if isinstance(text, str)] if isinstance(warnings, list) else []
     texts = [text for text in texts if not text.startswith("photos cannot be prepared")]
     if "+cu" in str(report.get("versions", {}).get("torch", "")) and report.get("device") == "cpu":
         return [f"Torch is for a card, but it computes {report.get('why', 'on the CPU')}", *texts]
@@ -128,8 +128,8 @@ def draw_extend(context: bpy.types.Context, layout: bpy.types.UILayout, state: S
 def report_line(report: dict) -> str:
     """What the check found, for people."""
     versions = report.get("versions", {})
-    told = [f"{name} {versions[name]}" for name in ("torch", "numba") if versions.get(name)]
-    return ", ".join([*told, str(report.get("device", ""))])
+    parts = [f"{name} {versions[name]}" for name in ("torch", "numba") if versions.get(name)]
+    return ", ".join([*parts, str(report.get("device", ""))])
 
 
 register, unregister = bpy.utils.register_classes_factory(

@@ -27,10 +27,10 @@ class PHYSHDR_PT_capture(Subpanel, bpy.types.Panel):
         if known is None:
             write(context, layout, "Photos tell neither how large things are nor where the floor is", "INFO")
             return
-        told = ["metres" if known.has_scale else "scale as imported"]
-        told.append("floor at z = 0" if known.has_floor else "ground as imported")
+        facts = ["metres" if known.has_scale else "scale as imported"]
+        facts.append("floor at z = 0" if known.has_floor else "ground as imported")
         row = layout.row(align=True)
-        row.label(text=", ".join(told).capitalize(), icon="CHECKMARK")
+        row.label(text=", ".join(facts).capitalize(), icon="CHECKMARK")
         row.operator("physhdr.capture_reset", text="", icon="LOOP_BACK")
 
 

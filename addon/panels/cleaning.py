@@ -174,8 +174,8 @@ def _draw_count(context: bpy.types.Context, layout: bpy.types.UILayout, target: 
         layout.label(text="Nothing is hidden", icon="HIDE_OFF")
         return
     count = hidden.of(cloud, cleaning)
-    told = "Counting" if count is None else f"{count:,} of {len(cloud.points):,} hidden"
-    layout.label(text=told, icon="HIDE_ON")
+    text = "Counting" if count is None else f"{count:,} of {len(cloud.points):,} hidden"
+    layout.label(text=text, icon="HIDE_ON")
     layout.operator("physhdr.cleaning_apply", icon="TRASH")
 
 

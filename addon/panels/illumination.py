@@ -42,17 +42,17 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             column = layout.column()
             column.use_property_split = True
             column.prop(target, "physhdr_viewport", text="3D View")
-            if told := confidence_told(target):
-                write(context, layout, told, "INFO")
+            if text := confidence_note(target):
+                write(context, layout, text, "INFO")
             draw_native(layout, target)
             draw_originals(context.scene, layout)
         else:
             draw_own(layout, state, settings)
-        for told in hints(context, state, settings, target, shown, reason):
-            write(context, layout, told, "INFO")
+        for text in hints(context, state, settings, target, shown, reason):
+            write(context, layout, text, "INFO")
 
 
-def confidence_told(target: bpy.types.Object) -> str:
+def confidence_note(target: bpy.types.Object) -> str:
     """What the colours mean where the 3D view shows a model's confidence; else nothing."""
     if getattr(target, DISPLAY) != CONFIDENCE_SPLATS:
         return ""
@@ -73,19 +73,19 @@ def hints(
     # A model that is in the scene needs no backend.
     if reason and target is None and not state.job.has_model and has_model(context.scene):
         reason = "Select a model for its sliders. Live Preview needs a training, or an open run"
-    told = ["" if reason and target is not None and not settings.preview else reason or view_hint(context)]
+    lines = ["" if reason and target is not None and not settings.preview else reason or view_hint(context)]
     if target is not None and target != context.object and target in models_of(context.object):
-        told.append("These are the model's own sliders: all of its instances follow them")
+        lines.append("These are the model's own sliders: all of its instances follow them")
         if target.library is not None:
-            told.append("It is linked from another file: make it local, or a library override, to change it")
+            lines.append("It is linked from another file: make it local, or a library override, to change it")
     if settings.preview and not reason and target is not None:
         is_shown = target == shown
-        told.append(
+        lines.append(
             "Live Preview follows these sliders" if is_shown else "Live Preview shows another model than this"
         )
     if state.job.has_model and not state.job.can_relight and target is None:
-        told.append("This method learns no illumination: the level only scales")
-    return [line for line in told if line]
+        lines.append("This method learns no illumination: the level only scales")
+    return [line for line in lines if line]
 
 
 def draw_own(layout: bpy.types.UILayout, state: State, settings: PHYSHDR_Settings) -> None:

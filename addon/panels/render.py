@@ -28,7 +28,7 @@ class PHYSHDR_PT_render(Subpanel, bpy.types.Panel):
         if not problems:
             layout.label(text="Models render as they were trained", icon="CHECKMARK")
         row = layout.row()
-        row.scale_y = 1.4 if any(problem.mended for problem in problems) else 1.0
+        row.scale_y = 1.4 if any(problem.fixable for problem in problems) else 1.0
         row.operator("physhdr.render_setup", icon="SCENE")
         draw_developing(context, layout)
         draw_cameras(context, layout)

@@ -78,8 +78,8 @@ def draw_evaluation(
     context: bpy.types.Context, layout: bpy.types.UILayout, run: str, found: Evaluation
 ) -> None:
     """The table, and buttons that open what it was made from."""
-    told = f"Against {found.views} photographs it never saw" if found.views else "Against photographs"
-    write(context, layout, told)
+    text = f"Against {found.views} photographs it never saw" if found.views else "Against photographs"
+    write(context, layout, text)
     for figure in found.figures:
         box = layout.column(align=True)
         box.label(text=f"{figure.what}: {figure.words}")

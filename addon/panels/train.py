@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: Rows that are kept for the next step, and below the bar of what is under way.
 STEP_LINES, PROGRESS_LINES = 2, 2
-#: Child processes that are told of here.
+#: Child processes that are shown here.
 TASKS = (INSTALL, CHECK, DATASET, LOOK, PHOTOS)
 READY: "IconItems" = "RADIOBUT_ON"
 ICONS: "dict[str, IconItems]" = {
@@ -91,11 +91,11 @@ def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state:
         numbers.insert(0, f"Quality {job.monitor['PSNR']:.2f} dB")
     if job.losses and job.state in ("training", "paused"):
         speed = job.iterations_per_second
-        told = f"Loss {sum(job.losses.values()):.4f}" + (f", {speed:.1f} iterations/s" if speed else "")
+        text = f"Loss {sum(job.losses.values()):.4f}" + (f", {speed:.1f} iterations/s" if speed else "")
     else:
-        told = job.message if state.active or job.state in ("finished", "stopped") else ""
+        text = job.message if state.active or job.state in ("finished", "stopped") else ""
     write(context, column, ", ".join(numbers), lines=1)
-    write(context, column, told, lines=1)
+    write(context, column, text, lines=1)
 
 
 register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_train,))

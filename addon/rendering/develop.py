@@ -75,8 +75,8 @@ def develop(scene: bpy.types.Scene, target: bpy.types.Object, models: Iterable[b
     """
     curve = response_of(target)
     if curve is None:
-        told = f"{target.name!r} has no learned response"
-        raise BadValueError(told, "Train with several exposures, or choose a model that has one.")
+        text = f"{target.name!r} has no learned response"
+        raise BadValueError(text, "Train with several exposures, or choose a model that has one.")
     tree: Any = scene.compositing_node_group
     node = node_of(scene)
     if tree is not None:
@@ -205,14 +205,14 @@ def _new_node(scene: bpy.types.Scene) -> Any:
 def _output(tree: Any) -> Any:
     """The socket that puts the picture out, with a link; raises ``BadValueError`` where there is none."""
     if tree.library is not None:
-        told = f"the compositing nodes {tree.name!r} are linked from another file"
-        raise BadValueError(told, "Make them local (right click, Make Local), or develop there.")
+        text = f"the compositing nodes {tree.name!r} are linked from another file"
+        raise BadValueError(text, "Make them local (right click, Make Local), or develop there.")
     output = next(
         (each for each in tree.nodes if each.type == "GROUP_OUTPUT" and each.is_active_output), None
     )
     if output is None or not len(output.inputs) or not output.inputs[0].links:
-        told = f"the compositing nodes {tree.name!r} put no picture out"
-        raise BadValueError(told, "Link a picture to their Group Output, or take them off the scene.")
+        text = f"the compositing nodes {tree.name!r} put no picture out"
+        raise BadValueError(text, "Link a picture to their Group Output, or take them off the scene.")
     return output.inputs[0]
 
 
@@ -222,8 +222,8 @@ def _check_source(output: Any, node: Any) -> None:
         return
     image = node.inputs.get(response_nodes.IMAGE)
     if image is None or not image.links:
-        told = f"the node {node.label!r} takes no picture"
-        raise BadValueError(told, "Link a picture to it, or remove it.")
+        text = f"the node {node.label!r} takes no picture"
+        raise BadValueError(text, "Link a picture to it, or remove it.")
 
 
 def _insert(tree: Any, node: Any) -> None:
@@ -288,10 +288,10 @@ def _check_view(scene: bpy.types.Scene) -> None:
     """Raise ``BadValueError`` where the configuration of colours has no view that shows codes as they are."""
     wanted = NEUTRAL["view_transform"]
     if not _is_offered(view_of(scene), "view_transform", wanted):
-        told = (
+        text = (
             f"the configuration of colours (OCIO) has no view transform {wanted!r}, which shows the response"
         )
-        raise BadValueError(told, "Start Blender with its own configuration: without the variable OCIO.")
+        raise BadValueError(text, "Start Blender with its own configuration: without the variable OCIO.")
 
 
 def toned(models: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
@@ -325,11 +325,11 @@ def faults_of_view(scene: bpy.types.Scene) -> list[str]:
     view = view_of(scene)
     found = []
     for name, value in NEUTRAL.items():
-        given = getattr(view, name)
-        if given != value:
-            told = name.removeprefix("use_").replace("_", " ")
-            number = f"{given:g}" if isinstance(value, float) else given
-            found.append(told if isinstance(value, bool) else f"{told} {number}")
+        current = getattr(view, name)
+        if current != value:
+            text = name.removeprefix("use_").replace("_", " ")
+            number = f"{current:g}" if isinstance(value, float) else current
+            found.append(text if isinstance(value, bool) else f"{text} {number}")
     return found
 
 

@@ -130,7 +130,7 @@ def _make_folder_of(path: Path) -> None:
     except OSError as error:
         raise OutputError(
             f"cannot make the folder {path.parent}: {error.strerror or error}",
-            "Choose another place, or mend its permissions.",
+            "Choose another place, or fix its permissions.",
         ) from error
 
 

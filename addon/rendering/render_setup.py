@@ -47,11 +47,11 @@ NAMED = 3
 
 @dataclass(frozen=True)
 class Problem:
-    """What would render wrong, in a sentence. ``mended``: whether *Set Up Render* sets it right."""
+    """What would render wrong, in a sentence. ``fixable``: whether *Set Up Render* sets it right."""
 
     kind: str
     text: str
-    mended: bool = True
+    fixable: bool = True
 
 
 @dataclass(frozen=True)
@@ -218,17 +218,17 @@ def render_problems(scene: bpy.types.Scene) -> list[Problem]:
 def names_of(models: Iterable[bpy.types.Object]) -> str:
     """``room, garden and 3 more``."""
     names = [each.name for each in models]
-    told, more = names[:NAMED], len(names) - NAMED
+    named, more = names[:NAMED], len(names) - NAMED
     if more > 0:
-        return f"{', '.join(told)} and {more} more"
-    return f"{', '.join(told[:-1])} and {told[-1]}" if len(told) > 1 else told[0]
+        return f"{', '.join(named)} and {more} more"
+    return f"{', '.join(named[:-1])} and {named[-1]}" if len(named) > 1 else named[0]
 
 
 def _modifier(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     gone = [each for each in shown.models if nodes.find_modifier(each) is None]
     if gone:
-        told = f"{names_of(gone)}: no PhysHDR modifier, so nothing is rendered. Import again"
-        yield Problem("MODIFIER", told, mended=False)
+        text = f"{names_of(gone)}: no PhysHDR modifier, so nothing is rendered. Import again"
+        yield Problem("MODIFIER", text, fixable=False)
     modifiers = ((each, nodes.find_modifier(each)) for each in shown.models)
     hidden = [each for each, modifier in modifiers if modifier is not None and not modifier.show_render]
     if hidden:
@@ -241,18 +241,18 @@ def _bounces(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     cycles = settings_of_cycles(scene)
     passed, certain = cycles.transparent_max_bounces, cycles.min_transparent_bounces
     if passed < CERTAIN_BOUNCES:
-        told = f"A ray passes {passed} Gaussians and ends: the picture is black and blotchy"
-        yield Problem("BOUNCES", f"{told} (Transparent Bounces, {TRANSPARENT_BOUNCES} are needed)")
+        text = f"A ray passes {passed} Gaussians and ends: the picture is black and blotchy"
+        yield Problem("BOUNCES", f"{text} (Transparent Bounces, {TRANSPARENT_BOUNCES} are needed)")
     elif certain < CERTAIN_BOUNCES:
-        told = "Rays end at random among the Gaussians: the picture is noisy"
-        yield Problem("BOUNCES", f"{told} (Min Transparent Bounces {certain}, {CERTAIN_BOUNCES} are needed)")
+        text = "Rays end at random among the Gaussians: the picture is noisy"
+        yield Problem("BOUNCES", f"{text} (Min Transparent Bounces {certain}, {CERTAIN_BOUNCES} are needed)")
 
 
 def _shadows(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     casting = [each for each in shown.models if each.visible_shadow]
     if scene.render.engine == EEVEE and casting and _has_shadows(scene):
-        told = f"{names_of(casting)}: every Gaussian casts a shadow, and EEVEE may not finish"
-        yield Problem("SHADOWS", told, mended=_editable(casting))
+        text = f"{names_of(casting)}: every Gaussian casts a shadow, and EEVEE may not finish"
+        yield Problem("SHADOWS", text, fixable=_editable(casting))
 
 
 def _has_shadows(scene: bpy.types.Scene) -> bool:
@@ -271,8 +271,8 @@ def _has_shadows(scene: bpy.types.Scene) -> bool:
 
 def _camera(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if scene.camera is None:
-        told = "There is no camera to render through. Import Cameras brings those of the data set"
-        yield Problem("CAMERA", told, mended=False)
+        text = "There is no camera to render through. Import Cameras brings those of the data set"
+        yield Problem("CAMERA", text, fixable=False)
 
 
 def _splats(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
@@ -282,8 +282,8 @@ def _splats(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if _is_panorama(scene):
         cards = [each for each, splats in drawn.items() if splats]
         if cards:
-            told = f"{names_of(cards)}: camera splats are for flat pictures, and the camera takes a panorama"
-            yield Problem("SPLATS", told, mended=_editable(cards))
+            text = f"{names_of(cards)}: camera splats are for flat pictures, and the camera takes a panorama"
+            yield Problem("SPLATS", text, fixable=_editable(cards))
         return
     proxies = [
         each
@@ -291,12 +291,12 @@ def _splats(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
         if splats is False and ELLIPSOIDS not in each and each not in shown.moved
     ]
     if proxies:
-        told = f"{names_of(proxies)}: drawn as ellipsoids, not as it was trained (Camera Splats is off)"
-        yield Problem("SPLATS", told, mended=_editable(proxies))
+        text = f"{names_of(proxies)}: drawn as ellipsoids, not as it was trained (Camera Splats is off)"
+        yield Problem("SPLATS", text, fixable=_editable(proxies))
     stretched = [each for each, splats in drawn.items() if splats and not _is_even(each)]
     if stretched:
-        told = f"{names_of(stretched)}: stretched, so drawn as ellipsoids, not as it was trained"
-        yield Problem("SPLATS", f"{told}. Give it one scale for all axes", mended=False)
+        text = f"{names_of(stretched)}: stretched, so drawn as ellipsoids, not as it was trained"
+        yield Problem("SPLATS", f"{text}. Give it one scale for all axes", fixable=False)
 
 
 def _is_even(target: bpy.types.Object) -> bool:
@@ -309,12 +309,12 @@ def _instances(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     """Geometry nodes are evaluated once, where the model itself stands."""
     if not shown.moved:
         return
-    told = f"{names_of(shown.moved)}: an instance shows it elsewhere, but as seen where it stands"
-    yield Problem("INSTANCES", f"{told}. Object > Apply > Make Instances Real", mended=False)
+    text = f"{names_of(shown.moved)}: an instance shows it elsewhere, but as seen where it stands"
+    yield Problem("INSTANCES", f"{text}. Object > Apply > Make Instances Real", fixable=False)
     flat = [each for each in shown.moved if _input(each, nodes.CAMERA_SPLATS)]
     if flat:
-        told = f"{names_of(flat)}: camera splats of an instance do not face the camera"
-        yield Problem("INSTANCES", told, mended=_editable(flat))
+        text = f"{names_of(flat)}: camera splats of an instance do not face the camera"
+        yield Problem("INSTANCES", text, fixable=_editable(flat))
 
 
 def _is_panorama(scene: bpy.types.Scene) -> bool:
@@ -328,13 +328,13 @@ def _width(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
         width = _input(each, nodes.IMAGE_WIDTH)
         if width in (None, wide) or follows_render_width(each):
             continue
-        told = f"{each.name}: fine detail comes out too thin"
+        text = f"{each.name}: fine detail comes out too thin"
         if width:
-            told = f"{each.name}: fine detail is for a picture {width} pixels wide, and this one has {wide}"
-        told += " (Image Width)"
+            text = f"{each.name}: fine detail is for a picture {width} pixels wide, and this one has {wide}"
+        text += " (Image Width)"
         modifier = nodes.find_modifier(each)
         own = modifier is not None and _curve(each, modifier) is not None
-        yield Problem("WIDTH", told, mended=_editable([each]) and not own)
+        yield Problem("WIDTH", text, fixable=_editable([each]) and not own)
 
 
 def _samples(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
@@ -343,8 +343,8 @@ def _samples(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
         return
     grainy = [each for each in shown.models if BY_LOT in _methods(each)]
     if grainy:
-        told = f"{names_of(grainy)}: grainy with {samples} samples: EEVEE draws each Gaussian in some of them"
-        yield Problem("SAMPLES", f"{told} ({EEVEE_SAMPLES} are needed)")
+        text = f"{names_of(grainy)}: grainy with {samples} samples: EEVEE draws each Gaussian in some of them"
+        yield Problem("SAMPLES", f"{text} ({EEVEE_SAMPLES} are needed)")
 
 
 def _depth_of_field(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
@@ -352,8 +352,8 @@ def _depth_of_field(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
         return
     blended = [each for each in shown.models if BLENDED in _methods(each)]
     if blended:
-        told = f"{names_of(blended)}: EEVEE's depth of field takes it for what lies behind it"
-        yield Problem("DEPTH", told, mended=_editable(_materials(blended)))
+        text = f"{names_of(blended)}: EEVEE's depth of field takes it for what lies behind it"
+        yield Problem("DEPTH", text, fixable=_editable(_materials(blended)))
 
 
 def _has_depth_of_field(scene: bpy.types.Scene) -> bool:
@@ -382,11 +382,11 @@ def _tones(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if not toned:
         return
     if develop.node_of(scene) is None:
-        told = f"{names_of(toned)}: Learned Tones respond to each Gaussian before blending, as no camera does"
-        yield Problem("TONES", f"{told}. {develop.LABEL} is exact", mended=False)
+        text = f"{names_of(toned)}: Learned Tones respond to each Gaussian before blending, as no camera does"
+        yield Problem("TONES", f"{text}. {develop.LABEL} is exact", fixable=False)
     else:
-        told = f"{names_of(toned)}: developed twice, by Learned Tones and in the compositor"
-        yield Problem("TONES", told, mended=all(map(develop.can_switch, toned)))
+        text = f"{names_of(toned)}: developed twice, by Learned Tones and in the compositor"
+        yield Problem("TONES", text, fixable=all(map(develop.can_switch, toned)))
 
 
 def _developed(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
@@ -396,11 +396,11 @@ def _developed(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if develop.is_off(scene):
         yield Problem("DEVELOP", "The picture is not developed: compositing or its node is switched off")
     if develop.is_apart(scene):
-        told = f"The picture is not developed: its node has lost its links. {develop.LABEL} puts it back"
-        yield Problem("DEVELOP", told, mended=False)
+        text = f"The picture is not developed: its node has lost its links. {develop.LABEL} puts it back"
+        yield Problem("DEVELOP", text, fixable=False)
     if faults := develop.faults_of_view(scene):
-        told = f"The view changes the developed picture ({', '.join(faults)}): it is meant for Standard alone"
-        yield Problem("VIEW", told)
+        text = f"The view changes the developed picture ({', '.join(faults)}): it is meant for Standard alone"
+        yield Problem("VIEW", text)
 
 
 def _editable(data: Sequence[bpy.types.ID]) -> bool:
@@ -464,6 +464,6 @@ def _set_up_model(
             material.surface_render_method = BY_LOT if _has_depth_of_field(scene) else BLENDED
 
 
-def wishes_from(given: Any) -> Wishes:
+def wishes_from(operator: Any) -> Wishes:
     """The wishes among an operator's properties."""
-    return Wishes(**{each.name: getattr(given, each.name) for each in fields(Wishes)})
+    return Wishes(**{each.name: getattr(operator, each.name) for each in fields(Wishes)})

@@ -77,7 +77,7 @@ TORCH_LOCK, CUDA_LOCKS = "torch.txt", ("torch-cuda.txt", "torch-cuda12.txt")
 LOCKED = ("--no-deps", "--only-binary=:all:")
 #: Where in the whole the downloads, and torch's among them, end.
 PACKAGES_DONE, TORCH_DONE, COMPLETE = 0.35, 0.7, 0.8
-#: What pip writes, and what the user is told: message ({}: the package) and hint. The first that fits.
+#: What pip writes, and what the user reads: message ({}: the package) and hint. The first that fits.
 CAUSES = (
     (
         "DO NOT MATCH THE HASHES",
@@ -104,7 +104,7 @@ CAUSES = (
 
 
 class InstallError(Exception):
-    """Something the user can mend: a message and a hint."""
+    """Something the user can fix: a message and a hint."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
@@ -185,7 +185,7 @@ def main() -> int:
             say(progress=0.0, message=why_not_card)
         folder = install(options.target, options.launcher, torch, options.fresh)
         status = check(interpreter_of(folder), options.launcher, [why_not_card] if why_not_card else [])
-        if status == 0:  # until then Blender uses the former one, and goes on with it
+        if status == 0:  # until then Blender uses the former one, and keeps it
             remove_others(folder)
         return status
     except InstallError as error:
@@ -522,12 +522,12 @@ def run_pip(
     """``pip install`` with a line of progress for each package; raises ``InstallError`` with the cause."""
     command = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
     command += ["--progress-bar", "off", *arguments]
-    collected, told = 0, []
+    collected, output = 0, []
     # Where the user's settings say "user", pip would refuse to install into an environment.
     lines = Lines(command, {"PIP_USER": "0", **(environment or {})})
     for line in lines:
         sys.stdout.write(line)
-        told.append(line.strip())
+        output.append(line.strip())
         share = begin + (end - begin) * min(collected / packages, 1.0) * 0.9
         if line.startswith("Collecting "):
             collected += 1
@@ -537,13 +537,13 @@ def run_pip(
         elif line.startswith("Installing collected"):
             say(progress=begin + (end - begin) * 0.9, message="unpacking: a minute or two")
     if lines.status:
-        raise failure(told)
+        raise failure(output)
 
 
-def failure(told: list[str]) -> InstallError:
+def failure(output: list[str]) -> InstallError:
     """What went wrong, from pip's lines."""
-    text = "\n".join(told)
-    errors = [line for line in told if line.startswith("ERROR")] or [line for line in told if line][-1:]
+    text = "\n".join(output)
+    errors = [line for line in output if line.startswith("ERROR")] or [line for line in output if line][-1:]
     last = errors[-1] if errors else "it said nothing"
     refused = re.search(r"DO NOT MATCH THE HASHES.*\n+(\S+)", text)
     for pattern, message, hint in CAUSES:
@@ -570,8 +570,8 @@ def check(python: Path, launcher: Path, warnings: list[str]) -> int:
         if "progress" in content:
             say(**{**content, "progress": round(COMPLETE + (1.0 - COMPLETE) * content["progress"], 4)})
         elif "result" in content:
-            told = {"warnings": [*warnings, *content["result"].get("warnings", [])]}
-            say(result={**content["result"], **told, "environment": str(python)})
+            added = {"warnings": [*warnings, *content["result"].get("warnings", [])]}
+            say(result={**content["result"], **added, "environment": str(python)})
         else:
             sys.stdout.write(line)
             sys.stdout.flush()

@@ -32,8 +32,8 @@ def main(grace: float, command: list[str]) -> int:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     except OSError as error:
         message = f"cannot start {command[0]}: {error.strerror or error}"
-        told = {"error": {"message": message, "hint": "Check the path."}}
-        sys.stdout.write(json.dumps(told) + "\n")
+        content = {"error": {"message": message, "hint": "Check the path."}}
+        sys.stdout.write(json.dumps(content) + "\n")
         return 1
     threading.Thread(target=end_with_stdin, args=(process, grace), daemon=True).start()
     status = process.wait()

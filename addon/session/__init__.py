@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What goes on beside Blender: child processes, the backend's connection, and the state that panels show."""
+"""What runs beside Blender: child processes, the backend's connection, and the state that panels show."""

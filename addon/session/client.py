@@ -34,7 +34,7 @@ from .state import Connected, LinkLost, Received, Refused
 
 Item = TypeVar("Item")
 
-#: A broken connection is told to the user as an event; tracebacks in Blender's terminal help nobody.
+#: A broken connection is reported to the user as an event; tracebacks in Blender's terminal help nobody.
 _silent = logging.getLogger(f"{__name__}.connection")
 _silent.addHandler(logging.NullHandler())
 _silent.propagate = False
@@ -128,15 +128,15 @@ class Client:
                 proxy=None,
                 logger=_silent,
             ) as self._socket:
-                if not self._closing.is_set():  # before this: nobody could be told to close it
+                if not self._closing.is_set():  # before this: nobody could be asked to close it
                     self._converse(self._socket)
         except InvalidStatus as error:
             self._lost(f"it refused the connection ({error.response.status_code})")
         except ConnectionClosed as error:
             received = error.rcvd
             clean = received is not None and received.code in (1000, 1001)
-            told = received.reason if received and received.reason else "the connection broke"
-            self._lost(told, clean)
+            reason = received.reason if received and received.reason else "the connection broke"
+            self._lost(reason, clean)
         except HelloRefusedError as error:
             self._lost(error.failure.message, refusal=error.failure)
         except ProtocolError as error:

@@ -28,7 +28,7 @@ LABELS = {
     "--camera": "Lens",
     "--partial": "Use What Was Found",
 }
-#: So many files that are passed over are named each with its reason; of the rest the number is told.
+#: So many files that are passed over are named each with its reason; the rest are counted.
 NAMED = 3
 
 
@@ -37,7 +37,7 @@ class PhotoOptions:
     """What a user may say of photos; the defaults let ``physhdr prepare`` find it out.
 
     ``bracket``: photos at each place; ``lens``: COLMAP's name of its model; ``exposures``: a file of them;
-    ``partial``: go on where less than half of the places were found.
+    ``partial``: continue where less than half of the places were found.
     """
 
     handheld: bool = False
@@ -52,19 +52,19 @@ class PhotoOptions:
     @property
     def to_look(self) -> tuple[str, ...]:
         """Those that change what is understood of the photos."""
-        told = ["--handheld"] if self.handheld else []
-        told += ["--bracket", str(self.bracket)] if self.bracket else []
-        told += ["--same-exposure"] if self.same_exposure else []
-        told += ["--exposures", self.exposures] if self.exposures else []
-        return tuple(told)
+        options = ["--handheld"] if self.handheld else []
+        options += ["--bracket", str(self.bracket)] if self.bracket else []
+        options += ["--same-exposure"] if self.same_exposure else []
+        options += ["--exposures", self.exposures] if self.exposures else []
+        return tuple(options)
 
     @property
     def to_prepare(self) -> tuple[str, ...]:
         """All of them."""
-        told = [*self.to_look, "--max-width", str(self.max_width), "--camera", self.lens]
-        told += ["--borrow-poses"] if self.borrow_poses else []
-        told += ["--partial"] if self.partial else []
-        return tuple(told)
+        options = [*self.to_look, "--max-width", str(self.max_width), "--camera", self.lens]
+        options += ["--borrow-poses"] if self.borrow_poses else []
+        options += ["--partial"] if self.partial else []
+        return tuple(options)
 
 
 def look_command(photos: str, options: tuple[str, ...]) -> list[str]:
@@ -100,34 +100,34 @@ def prepared(result: dict[str, Any], in_words: Callable[[str], str] = in_panel_w
     puts a warning."""
     folder = result.get("folder")
     placed, places, error = (result.get(name) for name in ("placed", "places", "reprojection_error"))
-    told = []
+    lines = []
     if is_number(placed) and is_number(places):
-        told.append(f"{placed} of {places} places found")
+        lines.append(f"{placed} of {places} places found")
     if is_number(error):
-        told.append(f"reprojection error {error:.2f} pixels")
+        lines.append(f"reprojection error {error:.2f} pixels")
     return Prepared(
-        folder if isinstance(folder, str) else "", ", ".join(told), _texts(result.get("warnings"), in_words)
+        folder if isinstance(folder, str) else "", ", ".join(lines), _texts(result.get("warnings"), in_words)
     )
 
 
 def _described(result: dict[str, Any]) -> tuple[str, ...]:
-    """The numbers in lines as short as a panel is narrow; () where the program has told none."""
+    """The numbers in lines as short as a panel is narrow; () where the program reported none."""
     found: Any = result
     photos, places, each = (found.get(name) for name in ("photos", "places", "per_place"))
     size, seconds, stops = (found.get(name) for name in ("size", "exposures", "stops"))
-    told = []
+    lines = []
     if is_number(photos):
         is_size = isinstance(size, list) and len(size) == 2
-        told.append(f"{photos} photos" + (f", {size[0]} × {size[1]}" if is_size else ""))
+        lines.append(f"{photos} photos" + (f", {size[0]} × {size[1]}" if is_size else ""))
     if is_number(places):
-        told.append(f"{places} places" + (f", {each} photos each" if is_number(each) and each > 1 else ""))
+        lines.append(f"{places} places" + (f", {each} photos each" if is_number(each) and each > 1 else ""))
     if isinstance(seconds, list) and seconds and all(is_number(one) and one > 0 for one in seconds):
         times = [_time(min(seconds)), _time(max(seconds))] if len(seconds) > 1 else [_time(seconds[0])]
         over = f", {stops:.1f} stops" if is_number(stops) and len(seconds) > 1 else ""
-        told.append(f"{counted(len(seconds), 'exposure')}: {' to '.join(times)}{over}")
-    if told and isinstance(how := result.get("how"), str) and how:
-        told.append(f"Found {how}")
-    return tuple(told)
+        lines.append(f"{counted(len(seconds), 'exposure')}: {' to '.join(times)}{over}")
+    if lines and isinstance(how := result.get("how"), str) and how:
+        lines.append(f"Found {how}")
+    return tuple(lines)
 
 
 def _time(seconds: float) -> str:
@@ -138,10 +138,10 @@ def _time(seconds: float) -> str:
 def _skipped(listed: Any) -> tuple[str, ...]:
     """A sentence for each of the first files that are passed over, and one for the rest."""
     files = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
-    told = [f"Left out: {entry.get('name', '?')}, {entry.get('why', '')}" for entry in files[:NAMED]]
+    lines = [f"Left out: {entry.get('name', '?')}, {entry.get('why', '')}" for entry in files[:NAMED]]
     if len(files) > NAMED:
-        told.append(f"Left out: {len(files) - NAMED} more files")
-    return tuple(told)
+        lines.append(f"Left out: {len(files) - NAMED} more files")
+    return tuple(lines)
 
 
 def _texts(listed: Any, in_words: Callable[[str], str] = in_panel_words) -> tuple[str, ...]:

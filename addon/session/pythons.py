@@ -57,11 +57,11 @@ def working_python(candidate: str) -> Path | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     # The last line: a wrapper may have greeted. Any other program may have said anything.
-    told = re.fullmatch(r"(\d+)\.(\d+) (.+)", (done.stdout.strip().splitlines() or [""])[-1])
-    if done.returncode or told is None:
+    found = re.fullmatch(r"(\d+)\.(\d+) (.+)", (done.stdout.strip().splitlines() or [""])[-1])
+    if done.returncode or found is None:
         return None
-    recent = (int(told[1]), int(told[2])) >= MINIMUM
-    return Path(told[3]) if recent and os.path.isfile(told[3]) else None
+    recent = (int(found[1]), int(found[2])) >= MINIMUM
+    return Path(found[3]) if recent and os.path.isfile(found[3]) else None
 
 
 def is_ours(home: Path, python: str) -> bool:

@@ -74,25 +74,25 @@ class VideoOptions:
 
 def evaluate_command(run: str, data: str = "", lpips_weights: str = "") -> list[str]:
     """The arguments of the backend's command that evaluates; ``data``: the data set where it is now."""
-    told = ["--lpips-weights", lpips_weights] if lpips_weights else []
-    return ["evaluate", run, *_data(data), *told, "--json"]
+    arguments = ["--lpips-weights", lpips_weights] if lpips_weights else []
+    return ["evaluate", run, *_data(data), *arguments, "--json"]
 
 
 def video_command(
     run: str, out: str, options: VideoOptions, data: str = "", is_folder: bool = False
 ) -> list[str]:
     """The arguments of the backend's command that makes a video ``out``, or numbered pictures in a folder."""
-    told = ["video", run, "--frames" if is_folder else "--out", out, *_data(data)]
+    arguments = ["video", run, "--frames" if is_folder else "--out", out, *_data(data)]
     if options.shots:
-        told += ["--shots", options.shots]
+        arguments += ["--shots", options.shots]
     else:
-        told += ["--path", options.path] if options.path else []
-        told += ["--sweep", options.sweep] if options.sweep != "none" else []
-        told += ["--light", options.light] if options.light else []
-        told += ["--seconds", f"{options.seconds:g}", "--fps", str(options.fps)]
-    told += ["--width", str(options.width)] if options.width else []
-    told += ["--exposure", f"{options.exposure:.9g}"] if options.exposure else []
-    return [*told, "--json"]
+        arguments += ["--path", options.path] if options.path else []
+        arguments += ["--sweep", options.sweep] if options.sweep != "none" else []
+        arguments += ["--light", options.light] if options.light else []
+        arguments += ["--seconds", f"{options.seconds:g}", "--fps", str(options.fps)]
+    arguments += ["--width", str(options.width)] if options.width else []
+    arguments += ["--exposure", f"{options.exposure:.9g}"] if options.exposure else []
+    return [*arguments, "--json"]
 
 
 def web_command(run: str, out: str, data: str = "", single_file: bool = True) -> list[str]:
@@ -109,8 +109,8 @@ def bake_command(
     ``cameras``: the run or data set from whose cameras; ``levels`` of the lights by name.
     """
     # After a space no name is taken for an option, whatever it begins with.
-    told = [f"{' ' * name.startswith('-')}{name}={level:.9g}" for name, level in levels.items()]
-    look = [f"--exposure-ev={exposure_ev:.9g}", "--tone", tone.lower(), "--lighting-levels", *told]
+    settings = [f"{' ' * name.startswith('-')}{name}={level:.9g}" for name, level in levels.items()]
+    look = [f"--exposure-ev={exposure_ev:.9g}", "--tone", tone.lower(), "--lighting-levels", *settings]
     return ["convert", model, out, "--cameras", cameras, "--json", *look]
 
 
@@ -189,10 +189,10 @@ def in_words(psnr: float) -> str:
 
 
 def _numbers(row: dict[str, Any]) -> str:
-    told = [f"PSNR {row['psnr']:.1f} dB"]
-    told += [f"SSIM {row['ssim']:.3f}"] if is_number(row.get("ssim")) else []
-    told += [f"LPIPS {row['lpips']:.3f}"] if is_number(row.get("lpips")) else []
-    return ", ".join(told)
+    figures = [f"PSNR {row['psnr']:.1f} dB"]
+    figures += [f"SSIM {row['ssim']:.3f}"] if is_number(row.get("ssim")) else []
+    figures += [f"LPIPS {row['lpips']:.3f}"] if is_number(row.get("lpips")) else []
+    return ", ".join(figures)
 
 
 def _data(data: str) -> list[str]:

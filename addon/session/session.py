@@ -125,7 +125,7 @@ class Session:
         self.dispatch(TaskStarted(name, str(log), python))
 
     def ended(self, name: str) -> TaskEnded | None:
-        """How the task of a name ended that was started last; None while it goes on, or where none was."""
+        """How the task of a name ended that was started last; None while it runs, or where none was."""
         return self._ended.get(name)
 
     def cancel_task(self, name: str) -> None:

@@ -152,7 +152,7 @@ class State:
     ``waiting``: requests to be sent once there is a connection. ``beginning``: the request for a new job that
     is not answered yet; until then what the backend says of its job is of the former one. ``stopping``:
     whether the user has asked the training to stop, and may end the process now. ``read``: the job's
-    failure that the user has dismissed; the backend goes on telling it.
+    failure that the user has dismissed; the backend keeps reporting it.
     """
 
     backend: Backend = Backend()

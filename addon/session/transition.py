@@ -142,12 +142,12 @@ def transition(state: State, event: Event) -> Result:
                 return state, ()
             failure = job_words.for_panel(failure)
             problem = Problem(failure.message, failure.hint)
-            if isinstance(request, TrainStop):  # it goes on, and can be asked again
+            if isinstance(request, TrainStop):  # it continues, and can be asked again
                 state = replace(state, stopping=False)
             if request == state.beginning:
                 wanted = state.stopping and failure.code == CANCELLED
-                told = replace(state, problem=None if wanted else problem, beginning=None)
-                return told, (Send(StatusGet()),)
+                refused = replace(state, problem=None if wanted else problem, beginning=None)
+                return refused, (Send(StatusGet()),)
             return replace(state, problem=problem), ()
         case DatasetChosen(dataset):
             return replace(state, dataset=dataset), ()
@@ -219,8 +219,8 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
             return state, (KeepReport(python, event.result),)
         case name if name == DATASET:
             folder = str(event.result.get("folder", ""))
-            told = {"folder": folder, "warnings": event.result.get("warnings")}
-            made = prepared(told, in_the_dialogs_words)
+            result = {"folder": folder, "warnings": event.result.get("warnings")}
+            made = prepared(result, in_the_dialogs_words)
             state = replace(state, problem=problem, prepared=made if folder else state.prepared)
             return state, (SummariseDataset(folder),) if folder else ()
         case name if name == LOOK:
@@ -256,7 +256,7 @@ def _asked(before: State, request: Request) -> Result:
 
 
 def _shut_down_unheard(before: State) -> Result:
-    """One that cannot be told can only be ended from outside.
+    """One that cannot be asked can only be ended from outside.
 
     One of another version is at work: it is asked first, and ended at the second time. One that does not
     answer hangs: it is ended at once.
@@ -285,7 +285,7 @@ def _link_lost(state: State, reason: str, clean: bool) -> State:
         failure = Failure(code="backend_gone", message=gone, hint=_rescue(state))
         job = replace(job, state="failed", failure=failure, has_model=False)
     elif job.state != "failed":
-        # What it held is gone with it; a failure is told until it has been read.
+        # What it held is gone with it; a failure is shown until it has been read.
         state = _without_job(state)
         job = state.job
     link = Link("off", log=log, pid=0 if clean else state.link.pid, problem=problem)
@@ -311,15 +311,15 @@ def _has_begun(state: State) -> bool:
 def _rescue(state: State) -> str:
     """What is left of a training whose backend is gone."""
     if state.job.saved_iteration:
-        return f"Resume goes on from the checkpoint of iteration {state.job.saved_iteration}."
+        return f"Resume continues from the checkpoint of iteration {state.job.saved_iteration}."
     if _has_begun(state):
         return "Nothing that it had learned was saved yet: start again."
     return "Nothing that the run had saved is lost: start it, resume it or open it again."
 
 
-def _backend_failed(state: State, told: JobStatus) -> State:
-    """The backend itself has failed, whatever it did: a run that it worked at is told so."""
-    job = replace(told, run=state.job.run, saved_iteration=state.job.saved_iteration)
+def _backend_failed(state: State, status: JobStatus) -> State:
+    """The backend itself has failed, whatever it did: a run that it worked at has failed, too."""
+    job = replace(status, run=state.job.run, saved_iteration=state.job.saved_iteration)
     return replace(state, job=job, waiting=(), beginning=None, stopping=False)
 
 
@@ -350,14 +350,14 @@ def _received(state: State, message: Reply, request: Request | None) -> Result:
     return state, ()
 
 
-def _before_the_answer(state: State, told: JobStatus) -> State:
-    """What is told of the former job says nothing of the one that is asked for, except who is in control.
+def _before_the_answer(state: State, status: JobStatus) -> State:
+    """The status of the former job says nothing about the requested one, except who is in control.
 
     How far its preparation is counts, and how far the backend itself is that has to start for it.
     """
-    job = replace(state.job, in_control=told.in_control, controller=told.controller)
-    if told.state == "preparing" and (not told.run or same_folder(told.run, job.run)):
-        job = replace(job, message=told.message)
+    job = replace(state.job, in_control=status.in_control, controller=status.controller)
+    if status.state == "preparing" and (not status.run or same_folder(status.run, job.run)):
+        job = replace(job, message=status.message)
     return replace(state, job=job)
 
 

@@ -8,7 +8,7 @@ def back_to_front(depth: np.ndarray, exact: bool = True) -> np.ndarray:
     """Indices ``[N]`` uint32 of ``depth`` ``[N]`` float32, the farthest first.
 
     Equal depths: the higher index first, so that read from its end the order is the rasterisers' (front to
-    back, ties by index). Not ``exact``: depths are told apart to 1/65536 of their range (for a view that
+    back, ties by index). Not ``exact``: depths are distinguished to 1/65536 of their range (for a view that
     moves). numpy sorts 16-bit keys with a radix sort; 32 bits are two such passes.
     """
     if depth.size == 0:

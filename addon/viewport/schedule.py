@@ -23,7 +23,7 @@ TIMEOUT_SECONDS = 5.0
 PATIENCE_SECONDS = 60.0
 #: After a lost reply or an error: how long until the next try.
 RETRY_SECONDS = 0.5
-#: Training goes on: how often a resting view asks for the newest model's picture.
+#: Training continues: how often a resting view asks for the newest model's picture.
 REFRESH_SECONDS = 0.5
 #: One step of the ladder halves the number of pixels.
 STEP = math.sqrt(0.5)

@@ -320,8 +320,8 @@ def _rectangles(chunks: np.ndarray, rows: int) -> gpu.types.GPUBatch:
 def levels_texture(levels: Sequence[float], lights: int) -> gpu.types.GPUTexture:
     """One texel a light: there are no more than 128 bytes of push constants, and any number of lights."""
     texels = np.ones((1, max(1, lights), 1), np.float32)
-    given = min(len(levels), lights)
-    texels[0, :given, 0] = levels[:given]
+    count = min(len(levels), lights)
+    texels[0, :count, 0] = levels[:count]
     return gpu_arrays.texture(texels, "R32F")
 
 

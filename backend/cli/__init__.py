@@ -28,7 +28,7 @@ UNREAD = 141
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status. What a user can mend is one message, no traceback.
+    """Run one command; returns the exit status. What a user can fix is one message, no traceback.
 
     With ``--json`` that message is an object, the last line of stdout, whatever the command
     (docs/protocol.md).

@@ -81,7 +81,7 @@ class Serve:
         except (ImportError, OSError) as error:  # the latter on Windows, of a library that lacks another one
             raise PackageMissingError(
                 f"the backend's packages cannot be loaded: {error}",
-                "Check the backend: that says what is missing, and how to mend it.",
+                "Check the backend: that says what is missing, and how to fix it.",
             ) from error
         options = Options(device=self.device, threads=self.threads, log=self.log)
         return Engine(inbox, server, curves, options).run()

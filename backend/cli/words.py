@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a command says of an error that a user can mend: to people, and as data to programs (``--json``).
+"""What a command says of an error that a user can fix: to people, and as data to programs (``--json``).
 
 Needed before any library is loaded, and when hardly anything can be allocated: standard library alone.
 """

@@ -32,7 +32,7 @@ KINDS = (
 #: What to do about a file that is not as it must be.
 SPACE = "nerfstudio writes dataparser_transforms.json beside config.yml of a training: take that file."
 POSES = "It says what ns-process-data did to the cameras: name the run's data set with --data."
-APERTURE = "Mend that camera's sensor (its film's size), and export it again."
+APERTURE = "Fix that camera's sensor (its film's size), and export it again."
 #: nerfstudio's camera paths without a word about it play so fast.
 NERFSTUDIO_FPS = 24.0
 #: A USD stage whose pieces are not rigid beyond this is not of a camera that can be drawn.

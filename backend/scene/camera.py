@@ -34,7 +34,7 @@ class Camera:
         if pose.shape != (4, 4) or not np.isfinite(pose).all():
             raise BadValueError(
                 f"a camera pose must be a finite 4×4 matrix, got shape {pose.shape}: {pose.tolist()}",
-                "Mend 'transform_matrix' in the data set's transforms file.",
+                "Fix 'transform_matrix' in the data set's transforms file.",
             )
         rotation = pose[:3, :3]
         if not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-3):

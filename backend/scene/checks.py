@@ -38,7 +38,7 @@ def number(path: Path, value: Any, what: str) -> float:
             return float(value)
     except OverflowError:
         pass  # an integer beyond the range of floats
-    raise BadValueError(f"{path}: {what} must be a finite number, got {value!r:.80}", "Mend it in that file.")
+    raise BadValueError(f"{path}: {what} must be a finite number, got {value!r:.80}", "Fix it in that file.")
 
 
 def exposure(path: Path, value: Any, whose: str) -> float:
@@ -64,7 +64,7 @@ def rigid_pose(path: Path, matrix: Any, which: str) -> np.ndarray:
 
     ``matrix``: 4×4, or the first three rows of that.
     """
-    remedy = f"Mend 'transform_matrix' of that frame in {path.name}; scale and shear must be removed."
+    remedy = f"Fix 'transform_matrix' of that frame in {path.name}; scale and shear must be removed."
     try:
         pose = np.array(matrix, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -145,7 +145,7 @@ def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int
         parts = bracket_name(name)
         if parts is None:
             raise DataMismatchError(
-                f"{path}: '{name}' is not named <pose>_<exposure>, as train_000_0.jpg", "Mend or remove it."
+                f"{path}: '{name}' is not named <pose>_<exposure>, as train_000_0.jpg", "Fix or remove it."
             )
         place = listed.setdefault(parts[0], {})
         if parts[1] in place:

@@ -107,7 +107,7 @@ def _read_lights(root: Path) -> tuple[str, ...]:
     try:
         return check_lights(read_json(path).get("lights", [AMBIENT]), str(path))
     except BadValueError as error:
-        raise BadValueError(error.message, error.hint or "Mend 'lights' in that file.") from error
+        raise BadValueError(error.message, error.hint or "Fix 'lights' in that file.") from error
 
 
 def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
@@ -194,7 +194,7 @@ def _levels(
             raise DataMismatchError(
                 f"{path}: {which}: 'lighting_level' is {ambient:g}, but 'lighting_levels' has "
                 f"{levels[AMBIENT]:g} for {AMBIENT}",
-                "Both are the ambient light's: mend one of them.",
+                "Both are the ambient light's: fix one of them.",
             )
     elif is_lit and "lighting_levels" not in entry:
         key = "lighting_level" if lights == (AMBIENT,) else "lighting_levels"
@@ -230,7 +230,7 @@ def _camera(
     camera = stated_camera(path, where, stated, size)
     lens = stated_lens(path, where, stated, camera)
     remedy = (
-        f"Mend 'w' and 'h' in {path.name}, the picture size that 'fl_x' is for; or remove them: then only "
+        f"Fix 'w' and 'h' in {path.name}, the picture size that 'fl_x' is for; or remove them: then only "
         "'camera_angle_x' counts."
     )
     return fitted(camera, size, path, picture, remedy), None if lens is None else lens.resized(*size)
@@ -243,7 +243,7 @@ def _read_exposures(path: Path) -> dict[str, dict[int, float]]:
         parts = data_set.stem_and_place(key)
         if parts is None:
             raise FileDamagedError(
-                f"{path}: '{key:.80}' is not of the form './train/r_3_0.png'", "Mend or remove that entry."
+                f"{path}: '{key:.80}' is not of the form './train/r_3_0.png'", "Fix or remove that entry."
             )
         stem, place = parts
         brackets.setdefault(stem, {})[place] = exposure(path, value, key)

@@ -34,7 +34,7 @@ def read_anchor(
     if not isinstance(anchor, list) or len(anchor) != 2:
         raise BadValueError(
             f"{path}: response.anchor must be [exposure × radiance, code value], got {anchor!r}",
-            "Mend it, or remove it: the absolute scale of the radiance is then unknown.",
+            "Fix it, or remove it: the absolute scale of the radiance is then unknown.",
         )
     light, code = (number(path, value, "response.anchor") for value in anchor)
     if light <= 0.0 or not 0.0 < code < 1.0:

@@ -218,7 +218,7 @@ def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | N
     if name is None:
         return None
     if not isinstance(name, str):
-        raise BadValueError(f"{path}: {where}: 'mask_path' is {name!r:.80}, not a text", "Mend or remove it.")
+        raise BadValueError(f"{path}: {where}: 'mask_path' is {name!r:.80}, not a text", "Fix or remove it.")
     remedy = f"Put it there, or remove 'mask_path' of {where}: then all of its picture is compared."
     return regular_file(_inside(root, path, name), remedy)
 
@@ -237,7 +237,7 @@ def stated_camera(path: Path, where: str, given: dict[str, Any], stored: tuple[i
     if width not in sides or height not in sides:
         raise DataMismatchError(
             f"{path}: {where} is said to be {size[0]:g}×{size[1]:g} pixels",
-            "Mend 'w' and 'h', or remove them.",
+            "Fix 'w' and 'h', or remove them.",
         )
     fx = _focal(path, where, given, "x", width)
     fy = _focal(path, where, given, "y", height) or fx
@@ -299,7 +299,7 @@ def _focal(path: Path, where: str, given: dict[str, Any], axis: str, side: int) 
     angle = number(path, given[f"camera_angle_{axis}"], f"{where}: 'camera_angle_{axis}'")
     if not (0.0 < angle < math.pi and math.tan(0.5 * angle) > 0.0):  # the least numbers halve to 0
         raise BadValueError(
-            f"{path}: {where}: 'camera_angle_{axis}' is {angle:g}", "Mend it: radians, between 0 and π."
+            f"{path}: {where}: 'camera_angle_{axis}' is {angle:g}", "Fix it: radians, between 0 and π."
         )
     focal = 0.5 * side / math.tan(0.5 * angle)
     return FOCAL_LENGTH.check(
@@ -376,7 +376,7 @@ def _lists(root: Path, path: Path, content: dict[str, Any]) -> dict[str, set[Pat
         if names is None:
             continue
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise BadValueError(f"{path}: '{key}' is not a list of file names", "Mend it, or remove it.")
+            raise BadValueError(f"{path}: '{key}' is not a list of file names", "Fix it, or remove it.")
         lists[key] = {_picture(root, path, plain_name(name)) for name in names}
     return lists
 
@@ -387,16 +387,16 @@ def _train(path: Path, lists: dict[str, set[Path]], poses: list[Pose]) -> list[P
         train = [pose for pose in poses if _is_in(pose, lists["train_filenames"])]
         if train:
             return train
-        raise DataMismatchError(f"{path}: no frame is in 'train_filenames'", "Mend that list, or remove it.")
+        raise DataMismatchError(f"{path}: no frame is in 'train_filenames'", "Fix that list, or remove it.")
     for key, names in lists.items():
         if names and not any(_is_in(pose, names) for pose in poses):
-            raise DataMismatchError(f"{path}: no frame is in '{key}'", "Mend that list, or remove it.")
+            raise DataMismatchError(f"{path}: no frame is in '{key}'", "Fix that list, or remove it.")
     train = [pose for pose in poses if not any(_is_in(pose, names) for names in lists.values())]
     if not train:
         told = " and ".join(f"'{key}'" for key, names in lists.items() if names)
         raise DataMismatchError(
             f"{path}: no frame is left for training: all are in {told}",
-            "Mend these lists, or remove them.",
+            "Fix these lists, or remove them.",
         )
     return train
 
@@ -453,7 +453,7 @@ def _points(root: Path, path: Path, content: dict[str, Any]) -> Points | None:
     if name is None:
         return None
     if not isinstance(name, str):
-        raise BadValueError(f"{path}: 'ply_file_path' is {name!r:.80}, not a text", "Mend it, or remove it.")
+        raise BadValueError(f"{path}: 'ply_file_path' is {name!r:.80}, not a text", "Fix it, or remove it.")
     remedy = (
         f"Copy it there, or remove 'ply_file_path' from {path.name}: first points are then made by stereo."
     )

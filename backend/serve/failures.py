@@ -31,7 +31,7 @@ OF_A_PATH = {
     errno.ENOTDIR: "A file is where a folder is needed: choose another path.",
     errno.EACCES: "Change its permissions, or choose another path.",
     errno.EPERM: "Change its permissions, or choose another path.",
-    errno.ELOOP: "Its links lead in a circle: mend them, or choose another path.",
+    errno.ELOOP: "Its links lead in a circle: fix them, or choose another path.",
     errno.EMFILE: "Too many files are open at once: end the backend and start it again.",
 }
 

@@ -78,7 +78,7 @@ _REMEDY = "Copy or convert it again: it may be cut off."
 
 
 @dataclass(frozen=True)
-class _Facts:
+class _Header:
     """What a header says."""
 
     version: int
@@ -151,24 +151,24 @@ def _read_gzip(path: Path, file: BinaryIO) -> SplatCloud:
     size = path.stat().st_size
     unpacked = gzip.GzipFile(fileobj=file)
     try:
-        facts = _facts(path, HEADER.unpack(_exactly(unpacked, HEADER.size)), (2, 3))
-        _check_size(path, facts, size)
-        blocks = [_exactly(unpacked, each) for each in facts.sizes]
+        header = _checked_header(path, HEADER.unpack(_exactly(unpacked, HEADER.size)), (2, 3))
+        _check_size(path, header, size)
+        blocks = [_exactly(unpacked, each) for each in header.sizes]
         if len(unpacked.read(_LARGEST_TAIL + 1)) > _LARGEST_TAIL:
-            raise FileDamagedError(f"{path} goes on after its {facts.count} Gaussians", _REMEDY)
+            raise FileDamagedError(f"{path} has data after its {header.count} Gaussians", _REMEDY)
     except (EOFError, zlib.error, gzip.BadGzipFile, struct.error) as error:
         raise FileDamagedError(f"{path} is not a whole SPZ ({error})", _REMEDY) from error
-    return _cloud(facts, blocks, UP["spz"])
+    return _cloud(header, blocks, UP["spz"])
 
 
 def _read_streams(path: Path, file: BinaryIO, start: bytes) -> SplatCloud:
     if not start.startswith(MAGIC) or len(start) < HEADER_4.size:
         raise FileDamagedError(f"{path} is not an SPZ: it begins neither with NGSP nor as gzip", _REMEDY)
     *front, stream_count, table = HEADER_4.unpack(start)
-    facts = _facts(path, (*front, 0), (4,))
+    header = _checked_header(path, (*front, 0), (4,))
     size = path.stat().st_size
-    _check_size(path, facts, size)
-    wanted = [each for each in facts.sizes if each]
+    _check_size(path, header, size)
+    wanted = [each for each in header.sizes if each]
     if stream_count != len(wanted) or not HEADER_4.size <= table <= min(size, _LARGEST_TAIL):
         raise FileDamagedError(f"{path}: an SPZ of {stream_count} streams, not {len(wanted)}", _REMEDY)
     up = _named_up(path, file.read(table)[HEADER_4.size :] if front[-1] & _EXTENDED else b"")
@@ -189,10 +189,10 @@ def _read_streams(path: Path, file: BinaryIO, start: bytes) -> SplatCloud:
             raise FileDamagedError(f"{path}: a stream that is not {expected} bytes of zstd", _REMEDY)
         blocks.append(block)
     blocks += [b""] * (6 - len(blocks))
-    return _cloud(facts, blocks, up)
+    return _cloud(header, blocks, up)
 
 
-def _facts(path: Path, header: tuple[Any, ...], versions: tuple[int, ...]) -> _Facts:
+def _checked_header(path: Path, header: tuple[Any, ...], versions: tuple[int, ...]) -> _Header:
     magic, version, count, degree, bits, flags, *_ = header
     if magic != MAGIC:
         raise FileDamagedError(f"{path} is not an SPZ: its header does not begin with NGSP", _REMEDY)
@@ -203,15 +203,15 @@ def _facts(path: Path, header: tuple[Any, ...], versions: tuple[int, ...]) -> _F
     if degree >= len(_HIGHER) or bits > 23 or not count:
         what = "no Gaussians" if not count else f"SH degree {degree} and {bits} bits behind the point"
         raise FileDamagedError(f"{path} is an SPZ of {what}", _REMEDY)
-    return _Facts(version, count, degree, bits, bool(flags & _ANTIALIASED))
+    return _Header(version, count, degree, bits, bool(flags & _ANTIALIASED))
 
 
-def _check_size(path: Path, facts: _Facts, size: int) -> None:
+def _check_size(path: Path, header: _Header, size: int) -> None:
     """Raises where the header claims more than a file of ``size`` bytes can hold: before memory is taken."""
-    claimed = sum(facts.sizes)
+    claimed = sum(header.sizes)
     if claimed > max(ALWAYS_UNPACKED, LARGEST_RATIO * size):
         raise FileDamagedError(
-            f"{path} claims {facts.count} Gaussians, {claimed} bytes, in {size}: it is damaged, or a bomb",
+            f"{path} claims {header.count} Gaussians, {claimed} bytes, in {size}: it is damaged, or a bomb",
             _REMEDY,
         )
 
@@ -245,24 +245,24 @@ def _named_up(path: Path, records: bytes) -> Up:
     return UP["spz"]
 
 
-def _cloud(facts: _Facts, blocks: list[bytes], up: Up) -> SplatCloud:
-    count = facts.count
+def _cloud(header: _Header, blocks: list[bytes], up: Up) -> SplatCloud:
+    count = header.count
     position, opacity, colour, scale, rotation, sh = (np.frombuffer(block, np.uint8) for block in blocks)
     triples = position.reshape(count, 3, 3).astype(np.int32)
     fixed = triples[..., 0] | triples[..., 1] << 8 | triples[..., 2] << 16
     fixed = (fixed ^ 0x800000) - 0x800000  # the 24th bit is the sign
-    higher = _HIGHER[facts.degree]
+    higher = _HIGHER[header.degree]
     kept = min(higher, _KEPT)
     notes = ["Of its SH degree 4 the highest band was left out."] if higher > kept else []
-    notes += [ANTIALIASED_NOTE] if facts.is_antialiased else []
+    notes += [ANTIALIASED_NOTE] if header.is_antialiased else []
     planes = np.empty((kept + 1, 3, count), np.float32)
     planes[0] = (colour.reshape(count, 3).T / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOUR_SCALE)
     coefficients = sh.reshape(count, higher, 3)
     for k in range(kept):
         planes[k + 1] = (coefficients[:, k].T.astype(np.float32) - 128.0) / np.float32(128.0)
     return SplatCloud(
-        position=fixed.astype(np.float32) / np.float32(1 << facts.fractional_bits),
-        rotation=_first_three(rotation) if facts.version == 2 else _smallest_three(rotation),
+        position=fixed.astype(np.float32) / np.float32(1 << header.fractional_bits),
+        rotation=_first_three(rotation) if header.version == 2 else _smallest_three(rotation),
         scale=np.exp(scale.reshape(count, 3) / np.float32(16.0) - np.float32(10.0)),
         opacity=opacity / np.float32(255.0),
         colour_sh=planes.transpose(2, 0, 1),
@@ -305,9 +305,9 @@ def _clipped(cloud: SplatCloud) -> tuple[str, ...]:
     largest = np.abs(cloud.colour_sh).max(axis=2)
     beyond = largest > np.where(np.arange(largest.shape[1]), _LARGEST_SH[1], _LARGEST_SH[0])
     sh = int(np.count_nonzero(beyond.any(axis=1)))
-    told = [f"the σ of {scale} Gaussians (it holds 45 µm to 379 m)"] if scale else []
-    told += [f"the SH of {sh} (it holds colours of −0.44 to 1.44, and higher SH of −1 to 1)"] if sh else []
-    return (f"SPZ clipped {' and '.join(told)}.",) if told else ()
+    clipped = [f"the σ of {scale} Gaussians (it holds 45 µm to 379 m)"] if scale else []
+    clipped += [f"the SH of {sh} (it holds colours of −0.44 to 1.44, and higher SH of −1 to 1)"] if sh else []
+    return (f"SPZ clipped {' and '.join(clipped)}.",) if clipped else ()
 
 
 def _blocks(cloud: SplatCloud, bits: int) -> list[bytes]:

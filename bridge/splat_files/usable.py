@@ -91,5 +91,5 @@ ANTIALIASED_NOTE = "It was trained with compensation of opacity (antialiased), w
 
 
 def left_out_note(count: int) -> str:
-    """What the user is told of Gaussians that were left out."""
+    """A note for the user about Gaussians that were left out."""
     return f"{count} Gaussians with NaN, infinite or absurd values were left out."

@@ -451,13 +451,13 @@ def test_learned_tones_are_told_and_by_whom_they_are_mended(room, registered):
     assert kinds(registered) == []
     nodes.set_input(nodes.find_modifier(room), nodes.TONE_MAPPER, True)
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == ("TONES", False)
+    assert (problem.kind, problem.fixable) == ("TONES", False)
     assert "before blending" in problem.text and develop.LABEL in problem.text
     bpy.ops.physhdr.develop_render()
     assert kinds(registered) == []
     nodes.set_input(nodes.find_modifier(room), nodes.TONE_MAPPER, True)
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == ("TONES", True)
+    assert (problem.kind, problem.fixable) == ("TONES", True)
     assert "twice" in problem.text
     bpy.ops.physhdr.render_setup()
     assert kinds(registered) == [] and not toned(room)
@@ -485,7 +485,7 @@ def test_keyframes_of_the_switch_stay_and_are_told(room, registered):
     room.keyframe_insert(nodes.input_data_path(modifier, nodes.TONE_MAPPER), frame=1)
     bpy.ops.physhdr.develop_render()
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended, toned(room)) == ("TONES", False, True)
+    assert (problem.kind, problem.fixable, toned(room)) == ("TONES", False, True)
 
 
 @pytest.mark.parametrize(
@@ -501,7 +501,7 @@ def test_what_spoils_a_developed_picture_is_told_and_mended(room, registered, sp
     bpy.ops.physhdr.develop_render()
     spoil(registered)
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == (kind, True) and says in problem.text
+    assert (problem.kind, problem.fixable) == (kind, True) and says in problem.text
     bpy.ops.physhdr.render_setup()
     assert render_setup.render_problems(registered) == []
 
@@ -514,7 +514,7 @@ def test_a_node_that_lost_its_links_is_put_back(room, registered, picture):
     output = next(each for each in tree.nodes if each.type == "GROUP_OUTPUT")
     tree.links.new(layer.outputs["Image"], output.inputs[0])
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == ("DEVELOP", False)
+    assert (problem.kind, problem.fixable) == ("DEVELOP", False)
     bpy.ops.physhdr.develop_render()
     assert develop.node_of(registered) == node and kinds(registered) == []
     assert difference(picture(), expected(plain)) < 1e-3

@@ -271,7 +271,7 @@ def states(data):
     failure = Failure(
         code="backend_gone",
         message="The backend is gone: the connection broke",
-        hint="Resume goes on from the checkpoint of iteration 841.",
+        hint="Resume continues from the checkpoint of iteration 841.",
     )
     return {
         "nothing": State(),

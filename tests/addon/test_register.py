@@ -24,7 +24,7 @@ def left() -> list[str]:
 
 
 def test_where_one_module_fails_none_stays_registered(scene, tmp_path, monkeypatch):
-    """Enabled again once it is mended, the extension must not stumble over what was left."""
+    """Enabled again once it is fixed, the extension must not stumble over what was left."""
     monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
     last = addon._modules()[-1]
 

@@ -275,7 +275,7 @@ def test_a_driver_or_keyframes_of_the_users_stay(room, registered):
     bpy.ops.physhdr.render_setup()
     assert evaluated_width(room) == 77
     assert kinds(registered) == ["WIDTH"]
-    assert not render_setup.render_problems(registered)[0].mended
+    assert not render_setup.render_problems(registered)[0].fixable
     room.animation_data_clear()
     room.driver_add(path).driver.expression = "55"
     bpy.ops.physhdr.render_setup()
@@ -377,7 +377,7 @@ def test_each_problem_is_told_alone_and_mended(room, registered, spoil, kind, sa
     bpy.ops.physhdr.render_setup()
     spoil(registered, room)
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == (kind, True)
+    assert (problem.kind, problem.fixable) == (kind, True)
     assert says in problem.text
     bpy.ops.physhdr.render_setup()
     assert kinds(registered) == []
@@ -425,7 +425,7 @@ def test_a_scene_without_a_camera_says_so(room, registered):
     bpy.ops.physhdr.render_setup()
     bpy.data.objects.remove(registered.camera)
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == ("CAMERA", False)
+    assert (problem.kind, problem.fixable) == ("CAMERA", False)
 
 
 def test_a_model_without_its_modifier_cannot_be_mended(room, registered):
@@ -433,7 +433,7 @@ def test_a_model_without_its_modifier_cannot_be_mended(room, registered):
     room.modifiers.clear()
     bpy.ops.physhdr.render_setup()
     (problem,) = render_setup.render_problems(registered)
-    assert (problem.kind, problem.mended) == ("MODIFIER", False)
+    assert (problem.kind, problem.fixable) == ("MODIFIER", False)
 
 
 def test_ellipsoids_on_purpose_are_no_problem(room, registered):
@@ -489,8 +489,8 @@ def test_models_that_an_instance_shows_elsewhere_are_told_and_get_no_cards(room,
     holder.location = (-1.0, -2.0, 0.0)  # where the offset is turned to
     bpy.context.view_layer.update()
     first, second = render_setup.render_problems(registered)
-    assert "Make Instances Real" in first.text and not first.mended
-    assert "do not face the camera" in second.text and second.mended
+    assert "Make Instances Real" in first.text and not first.fixable
+    assert "do not face the camera" in second.text and second.fixable
     bpy.ops.physhdr.render_setup()
     assert not value(room, nodes.CAMERA_SPLATS)
     (left,) = render_setup.render_problems(registered)
@@ -509,7 +509,7 @@ def test_a_stretched_model_is_told(room, registered):
     room.scale.z = 1.1
     bpy.context.view_layer.update()
     (problem,) = render_setup.render_problems(registered)
-    assert "stretched" in problem.text and not problem.mended
+    assert "stretched" in problem.text and not problem.fixable
 
 
 def test_older_imports_cast_no_shadow_after_set_up_unless_it_is_wished(room, registered):

@@ -281,11 +281,11 @@ def test_confidence_is_drawn_in_its_colours(registered, renderer, make_model, wr
 
 def test_a_model_without_confidence_is_drawn_as_it_shines(target):
     ((_, (before,)),) = groups().values()
-    assert illumination.confidence_told(target) == ""
+    assert illumination.confidence_note(target) == ""
     target.physhdr_viewport = "CONFIDENCE"
     ((_, (after,)),) = groups().values()
     assert after.splats is before.splats
-    assert "export it again" in illumination.confidence_told(target)
+    assert "export it again" in illumination.confidence_note(target)
 
 
 def test_hidden_objects_are_not_drawn(target):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What ``make fuzz`` has found stays mended: every case in ``tests/fixtures/fuzz`` is tried again.
+"""What ``make fuzz`` has found stays fixed: every case in ``tests/fixtures/fuzz`` is tried again.
 
 What was found in binary USD, over which OpenUSD may end the process, is tried in another way below.
 """

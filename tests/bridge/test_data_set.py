@@ -79,12 +79,12 @@ def test_a_folder_of_another_name_tells_no_levels() -> None:
 
 
 def test_only_our_own_versions_up_to_this_one_are_read(tmp_path: Path) -> None:
-    assert data_set.read_info(tmp_path, "Mend it.") == {}
+    assert data_set.read_info(tmp_path, "Fix it.") == {}
     path = tmp_path / data_set.INFO_FILE
     path.write_text('{"scene": "attic"}')
-    assert data_set.scene_name(tmp_path, data_set.read_info(tmp_path, "Mend it.")) == "attic"
+    assert data_set.scene_name(tmp_path, data_set.read_info(tmp_path, "Fix it.")) == "attic"
     path.write_text("{}")
-    assert data_set.scene_name(tmp_path, data_set.read_info(tmp_path, "Mend it.")) == tmp_path.name
+    assert data_set.scene_name(tmp_path, data_set.read_info(tmp_path, "Fix it.")) == tmp_path.name
     for text, told in (
         ('{"format": "x"}', "format 'x'"),
         ('{"version": 2}', "version 2"),
@@ -92,10 +92,10 @@ def test_only_our_own_versions_up_to_this_one_are_read(tmp_path: Path) -> None:
     ):
         path.write_text(text)
         with pytest.raises(BadValueError, match=told):
-            data_set.read_info(tmp_path, "Mend it.")
+            data_set.read_info(tmp_path, "Fix it.")
     path.write_text("{")
-    with pytest.raises(FileDamagedError, match="Mend it"):
-        data_set.read_info(tmp_path, "Mend it.")
+    with pytest.raises(FileDamagedError, match="Fix it"):
+        data_set.read_info(tmp_path, "Fix it.")
 
 
 def test_renders_that_are_being_written_are_not_counted(tmp_path: Path) -> None:

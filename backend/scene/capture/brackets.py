@@ -115,7 +115,7 @@ def find_brackets(
     if length is not None and (length < 1 or len(photos) % length):
         raise BadValueError(
             f"{len(photos)} photos cannot be {length} to a pose",
-            "Move what does not belong away, or mend it.",
+            "Move what does not belong away, or fix it.",
         )
     if by == "none":
         return _without(_in_order(photos, seconds), seconds, "one photo a pose, as asked")

@@ -224,7 +224,7 @@ COLMAP: list[Case] = [
 ]  # fmt: skip
 
 NERFSTUDIO: list[Case] = [
-    ("broken", write("transforms.json", b"{\n oops"), FileDamagedError, ("line 2", "Mend that line")),
+    ("broken", write("transforms.json", b"{\n oops"), FileDamagedError, ("line 2", "Fix that line")),
     ("list", write("transforms.json", b"[]"), FileDamagedError, ("holds a list",)),
     ("no frames", edit("transforms.json", lambda c: c.pop("frames")), FileDamagedError, ("no 'frames'",)),
     ("empty", edit("transforms.json", lambda c: c.update(frames=[])), FileDamagedError,

@@ -144,7 +144,7 @@ def test_damaged_json_names_the_line(data_set: Path) -> None:
     lines = path.read_text().splitlines()
     lines[4] = lines[4] + " oops"
     path.write_text("\n".join(lines))
-    refusal(data_set, FileDamagedError, "transforms_test.json", "line 5", "Mend that line")
+    refusal(data_set, FileDamagedError, "transforms_test.json", "line 5", "Fix that line")
 
 
 def test_binary_json(data_set: Path) -> None:
@@ -286,7 +286,7 @@ def spoil_pose(data_set: Path, row: int, column: int, value: float) -> None:
 
 def test_nan_pose(data_set: Path) -> None:
     spoil_pose(data_set, 0, 3, float("nan"))
-    refusal(data_set, BadValueError, "transforms_train.json", "train/r_2", "NaN", "Mend 'transform_matrix'")
+    refusal(data_set, BadValueError, "transforms_train.json", "train/r_2", "NaN", "Fix 'transform_matrix'")
 
 
 @pytest.mark.parametrize(

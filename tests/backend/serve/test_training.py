@@ -349,8 +349,8 @@ def test_previews_that_cannot_be_are_refused(backend, enter, runs):
     assert refused(lighting_levels=(1.0, 1.0)) == "bad_value"  # the model has one light
     bent = tuple(value * 1.004 if i < 3 else value for i, value in enumerate(good))
     straight = peer.preview(PreviewRequest(sequence=2, camera=camera()))
-    mended = peer.preview(PreviewRequest(sequence=3, camera=camera(pose=bent)))
-    np.testing.assert_allclose(mended.depth, straight.depth, atol=0.05)
+    fixed = peer.preview(PreviewRequest(sequence=3, camera=camera(pose=bent)))
+    np.testing.assert_allclose(fixed.depth, straight.depth, atol=0.05)
 
 
 def test_only_the_newest_of_many_previews_is_rendered(backend, enter, runs):

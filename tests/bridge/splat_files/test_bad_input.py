@@ -218,7 +218,7 @@ CLAIMS = {
     "SPZ: 4 billion": "claims 4294967295 Gaussians",
     "SPZ 4: 4 billion": "claims 4294967295 Gaussians",
     "SPZ 4: streams of 2^62": "a stream of" if HAS_ZSTD else "zstandard",
-    "SPZ: 10 GB after it": "goes on after its 1000 Gaussians",
+    "SPZ: 10 GB after it": "has data after its 1000 Gaussians",
     "SPZ: 10 GB": "it is damaged, or a bomb",
     "KSPLAT: 4 billion": "whose sections need",
     "KSPLAT: 4 billion sections": "with 4294967295 sections",

@@ -520,7 +520,7 @@ def test_points_come_from_the_data_set_else_from_stereo(tiny_data):
 
 
 def test_rays_that_the_cameras_forbid_are_told_as_what_they_are(tiny_data, tmp_path):
-    """Not as a training that diverged, which lower learning rates would mend."""
+    """Not as a training that diverged, which lower learning rates would fix."""
     scene = read_scene(tiny_data)
     train = []
     for view, around in zip(scene.train, ring(len(scene.train)), strict=True):
