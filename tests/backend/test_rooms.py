@@ -205,19 +205,21 @@ def circles_in(imports: list[Import]) -> list[str]:
     return sorted(circles.values())
 
 
-IMPORTS = all_imports(ROOT)
+@pytest.fixture(scope="module")
+def imports() -> list[Import]:
+    return all_imports(ROOT)
 
 
-def test_rooms_import_only_what_they_may() -> None:
-    assert not (wrong := wrong_between_rooms(IMPORTS)), "\n".join(wrong)
+def test_rooms_import_only_what_they_may(imports: list[Import]) -> None:
+    assert not (wrong := wrong_between_rooms(imports)), "\n".join(wrong)
 
 
-def test_inside_a_room_imports_go_down() -> None:
-    assert not (wrong := wrong_between_floors(IMPORTS)), "\n".join(wrong)
+def test_inside_a_room_imports_go_down(imports: list[Import]) -> None:
+    assert not (wrong := wrong_between_floors(imports)), "\n".join(wrong)
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    assert not (circles := circles_in(IMPORTS)), "\n".join(circles)
+def test_no_modules_import_each_other_in_a_circle(imports: list[Import]) -> None:
+    assert not (circles := circles_in(imports)), "\n".join(circles)
 
 
 def test_every_place_of_the_picture_is_there() -> None:
