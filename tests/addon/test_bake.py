@@ -178,6 +178,7 @@ def exported(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.long  # the trainer's process starts for longer than all else here takes
 @pytest.mark.parametrize("composer", ["product", "learned"])
 def test_the_same_numbers_as_the_trainers_exporter(registered, exported, tmp_path, composer):
     theirs = exported / composer
