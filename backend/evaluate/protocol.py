@@ -75,7 +75,7 @@ def evaluate(
     ``shows`` whether it is under a mixture of light; by default whatever the renderer has levels for.
     Parts for which the data set has no truth are left out, with a message. Raises ``DataMismatchError``
     without views in the split, ``BadValueError`` for a split that is trained from, if the model renders NaN
-    or ``dataset.json`` states a response that is none, and what ``read_png`` and ``read_exr`` raise.
+    or ``dataset.json`` states a response that is none, and what ``read_codes`` and ``read_exr`` raise.
     """
     views = _views_of(scene, split)
     started = time.monotonic()

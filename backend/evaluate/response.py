@@ -107,7 +107,7 @@ def measured_response(scene: Scene, split: str = TEST) -> Curve | None:
 
     From 8-bit codes (the upper 8 of 16) of a camera's pictures against exposure × true radiance, each channel
     by itself. None without true radiance of that split, of which alone anything is opened.
-    Raises what ``read_png`` and ``read_exr`` raise.
+    Raises what ``read_codes`` and ``read_exr`` raise.
     """
     views = scene.splits[split]
     if not views or not truth.has_hdr_truth(scene.root, split):

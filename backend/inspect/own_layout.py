@@ -15,7 +15,7 @@ from ...bridge.lights import AMBIENT
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
 from ..scene.hdr_nerf_syn import NAME, OURS
-from ..scene.pictures import read_png
+from ..scene.pictures import read_codes
 from ..scene.source import exr_rec709
 from .findings import Inspection, Split, tell_exposures, warn_of_exposures
 from .layers import read_layers
@@ -110,11 +110,12 @@ class _Walk:
     # -- pictures ------------------------------------------------------------------------------------------
 
     def _pictures(self) -> None:
-        """Every PNG."""
+        """Every picture."""
         for name, split in self.splits.items():
             for frame in split.frames:
                 for place, seconds in frame.seconds.items():
-                    picture = self._picture(self.root / data_set.picture_file(frame.stem, place), read_png)
+                    path = self.root / data_set.picture_file(frame.stem, place)
+                    picture = self._picture(path, lambda path: read_codes(path)[0])
                     if picture is not None and name == data_set.TRAIN:
                         self.pixels.add_picture(picture, place, seconds)
 

@@ -1,27 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures on disk, read with suspicion and written atomically.
 
-Integers: PNG and TIFF of 8 or 16 bits, JPEG. Radiance: OpenEXR, Radiance's .hdr, TIFF of floats. Pillow
-reads PNG and JPEG of 8 bits, OpenEXR's own library its format, OpenImageIO all the rest: Pillow knows no
-colour of 16 bits.
+Integers: PNG and TIFF of 8 or 16 bits, JPEG. Radiance: OpenEXR, Radiance's .hdr, TIFF of floats. OpenImageIO
+reads them all. By hand is what it does not do: it tries every format that it has on a damaged file, allocates
+what a header of most kinds claims before it looks for the pixels, and ignores EXPOSURE and the order of rows
+in a .hdr. Nor does it write: on a full disk its PNG is cut off without an error, and its OpenEXR holds the
+time, so that no two are equal.
 """
 
 import dataclasses
 import math
 import re
 import struct
-import sys
-import threading
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TextIO, TypeVar, cast
+from typing import Any, Literal
 from zlib import compress, crc32
 
 import numpy as np
 import OpenEXR
+import OpenImageIO
 from PIL import Image
 
 from ...bridge.atomic import atomic_path
@@ -30,25 +31,8 @@ from ...bridge.limits import MAX_PIXELS, RADIANCE_MAX
 from ...bridge.regular import damaged_where_it_fails, regular_file
 from .color_space import SPACES, Chromaticities
 
-#: A file of N bytes can hold at most this many pixels per byte. RLE, the weakest of EXR's codecs, reaches 64
-#: on constant data and ZIP about 1000; a real render stays below 1. A 376-byte file that claims 16000×16000
-#: makes the OpenEXR library (3.5) allocate 1.5 GB before it notices that the pixels are not there.
-MAX_PIXELS_PER_BYTE = 1024
-#: Nor more values of all channels. Measured on a constant picture of 2048×2048: DWAB 4015, ZIP 412, RLE 29.
-MAX_VALUES_PER_BYTE = 4096
-#: Pillow's modes that are 8 bits a channel (or fewer) and become RGB without loss.
-EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
-#: Deflate, PNG's only codec, makes at most so many bytes of one: 258 of two bits, a longest match.
-MAX_DEFLATE_RATIO = 1032
-#: The fewest bits that a PNG's pixel of each mode has before deflate; its rows' filters only add to them, and
-#: interlacing does, too. A pixel of "L" has 2 to 8, one of "P" 1 to 8.
-PNG_BITS = {"1": 1, "L": 2, "LA": 16, "P": 1, "RGB": 24, "RGBA": 32}
-#: Pillow's names of the formats that it reads for us.
+#: Formats that Pillow opens for what stands beside their pixels: EXIF, ICC profiles.
 READABLE = ("PNG", "JPEG")
-#: TIFF's codecs make at most so many bytes of one (LZW, of 12 bits; deflate and PackBits make less).
-MAX_TIFF_RATIO = 4096
-#: .hdr packs a run of 127 values into two bytes.
-MAX_HDR_RATIO = 64
 #: Bytes of a .hdr that are looked through for the end of its header.
 HDR_HEADER = 65_536
 #: A PNG's first bytes, its number for RGB, and for rows that are written as differences to those above.
@@ -69,36 +53,17 @@ MAGIC: dict[bytes, Kind] = {
 #: Brands of the files that phones write, behind ``ftyp``: photos for ``physhdr prepare``, no data set's.
 AVIF_BRANDS = {b"avif", b"avis"}
 HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2"}
-#: The byte of a PNG that tells how many bits a channel has (PNG specification, 11.2.2).
-PNG_DEPTH_AT = 24
-
-#: Pixels of an EXR's tile, which may be larger than its picture: the library goes through all of it.
+#: Where a PNG's header has its colour type, and that of a palette (PNG specification, 11.2.2).
+PNG_COLOUR_AT, PNG_PALETTE = 25, b"\x03"
+#: A codec makes at most so many bytes of one. Deflate: 258 of two bits, a longest match. TIFF: LZW of 12
+#: bits. .hdr: a run of 127 values in two bytes. EXR: 4015 values of a constant picture, by DWAB, measured.
+MAX_RATIO: dict[Kind, int] = {"PNG": 1032, "TIFF": 4096, "HDR": 64, "EXR": 8192}
+#: OpenImageIO's types and those that they are read as, all without loss.
+READ_AS = {"uint8": "uint8", "uint16": "uint16", "half": "float", "float": "float", "double": "float"}
+#: Channels of a picture that is no OpenEXR, at most.
+MOST_CHANNELS = 8
+#: Pixels of a tile, which may be larger than its picture: the library goes through all of it.
 LARGEST_TILE = 1 << 24
-
-T = TypeVar("T")
-
-#: ``redirect_stdout`` puts another ``sys.stdout`` in place for all threads, and back what it has found.
-_stdout_lock = threading.Lock()
-
-
-class _OfOtherThreads:
-    """A stream without what the thread that made this writes to it; what others write, arrives.
-
-    Pictures are read beside a training (``prefetch``), which tells how far it is meanwhile.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream, self._silent = stream, threading.get_ident()
-
-    def write(self, text: str) -> int:
-        return len(text) if threading.get_ident() == self._silent else self._stream.write(text)
-
-    def flush(self) -> None:
-        self._stream.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
 
 _RESTORE = "Restore the file, or make the data set again: only what is missing is rendered."
 _DELETE = "Delete it and make the data set again (only what is missing is rendered), or copy it again."
@@ -123,78 +88,57 @@ def kind_of(path: Path) -> Kind:
 
 def is_deep(path: Path) -> bool:
     """Whether a picture holds codes of 16 bits (PNG or TIFF); raises as ``kind_of`` and reading it do."""
-    kind = kind_of(path)
-    return _is_deep_png(path) if kind == "PNG" else kind == "TIFF" and _look(path, kind).format == "uint16"
+    return _look(path).format == "uint16"
 
 
 def has_alpha(path: Path) -> bool:
     """Whether a PNG, JPEG or TIFF has an alpha channel or transparent colours; raises as ``kind_of``."""
-    kind = kind_of(path)
-    if kind in ("EXR", "HDR"):
-        return False
-    if kind == "TIFF" or (kind == "PNG" and _is_deep_png(path)):
-        return _look(path, kind).alpha >= 0
-    return _open_picture(path, READABLE, lambda picture: picture.has_transparency_data)
+    header = _look(path)
+    return header.kind not in ("EXR", "HDR") and header.alpha >= 0
 
 
 def is_rgb(path: Path) -> bool:
     """Whether a PNG or JPEG stores red, green and blue, with alpha or without; raises as ``kind_of``.
 
-    Not so: grey, a palette, the four inks of print.
+    Not so: grey, a palette.
     """
-    kind = kind_of(path)
-    if kind == "PNG" and _is_deep_png(path):
-        return _look(path, kind).channels >= 3
-    return _open_picture(path, READABLE, lambda picture: picture.mode in ("RGB", "RGBA"))
-
-
-def _is_deep_png(path: Path) -> bool:
-    with damaged_where_it_fails(f"{path} cannot be read", _DELETE), open(path, "rb") as file:
-        return file.read(PNG_DEPTH_AT + 1)[PNG_DEPTH_AT:] == b"\x10"
+    header = _look(path)
+    with open(path, "rb") as file:  # OpenImageIO does not say that it has resolved a palette
+        has_palette = header.kind == "PNG" and file.read(PNG_COLOUR_AT + 1)[PNG_COLOUR_AT:] == PNG_PALETTE
+    return len(header.channels) >= 3 and not has_palette
 
 
 def holds_radiance(path: Path) -> bool:
     """Whether a picture holds radiance (OpenEXR, .hdr, TIFF of floats), not codes; raises as ``kind_of``."""
     kind = kind_of(path)
-    return kind in ("EXR", "HDR") or (kind == "TIFF" and _look(path, kind).is_float)
+    return kind in ("EXR", "HDR") or (kind == "TIFF" and _look(path).format == "float")
 
 
 def picture_size(path: Path) -> tuple[int, int]:
     """``(width, height)`` in pixels of any picture from its header alone; raises as reading it does."""
-    path = Path(path)
-    kind = kind_of(path)
-    if kind == "EXR":
-        return _exr_size(path)
-    if kind in ("TIFF", "HDR") or (kind == "PNG" and _is_deep_png(path)):
-        header = _look(path, kind)
-        return header.width, header.height
-    return _open_picture(path, READABLE, lambda picture: picture.size)
+    header = _look(path)
+    return header.frame.width, header.frame.height
 
 
 def read_codes(path: Path, with_alpha: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
     """``[H, W, 3]`` uint8 or uint16 of a PNG, JPEG or TIFF, as stored; and alpha, ``[H, W]`` in 0…1.
 
-    Alpha is None unless it is asked for and there; nothing is composited, nothing is turned. Raises
-    ``FileMissingError``, ``FileDamagedError`` (another kind, truncated, floats, absurdly large).
+    Alpha is None unless it is asked for and there; nothing is composited, nothing is turned (structure from
+    motion ignores EXIF's orientation, too). Raises ``FileMissingError``, ``FileDamagedError`` (another kind,
+    truncated, floats, absurdly large).
     """
     path = Path(path)
-    kind = kind_of(path)
-    if kind in ("EXR", "HDR"):
+    header = _look(path)
+    if header.kind in ("EXR", "HDR"):
         raise FileDamagedError(
             f"{path} holds radiance, where codes of 8 or 16 bits are wanted", "Save it as PNG or TIFF."
         )
-    if kind == "TIFF" or (kind == "PNG" and _is_deep_png(path)):
-        header = _look(path, kind)
-        if header.is_float:
-            raise FileDamagedError(
-                f"{path} is a TIFF of floats, where codes of 8 or 16 bits are wanted", "Save it with 16 bits."
-            )
-        pixels = _read_pixels(path, header)
-        codes, alpha = _colours(pixels, header)
-        return codes, None if alpha is None or not with_alpha else alpha / float(np.iinfo(codes.dtype).max)
-    if with_alpha:
-        return _open_picture(path, READABLE, _as_rgb_and_alpha)
-    return read_picture(path), None
+    if header.format == "float":
+        raise FileDamagedError(
+            f"{path} is a TIFF of floats, where codes of 8 or 16 bits are wanted", "Save it with 16 bits."
+        )
+    codes, alpha = _colours(_read_pixels(path, header), header)
+    return codes, None if alpha is None or not with_alpha else alpha / float(np.iinfo(codes.dtype).max)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,20 +160,19 @@ def read_radiance(path: Path) -> Radiance:
     for NaN, infinite or absurd values, as ``read_exr``.
     """
     path = Path(path)
-    kind = kind_of(path)
-    if kind == "EXR":
+    header = _look(path)
+    if header.kind == "EXR":
         planes = read_exr_channels(path, _RESTORE, ("R", "G", "B"), optional=("A",))
         pixels = np.stack([planes[name] for name in "RGB"], axis=-1)
-        return Radiance(_sound(path, pixels), planes.get("A"), exr_chromaticities(path))
-    if kind not in ("HDR", "TIFF"):
+        return Radiance(_sound(path, pixels), planes.get("A"), header.chromaticities)
+    if header.kind not in ("HDR", "TIFF"):
         raise FileDamagedError(
-            f"{path} holds no radiance: it is a {kind}", "Give OpenEXR, .hdr or float TIFF."
+            f"{path} holds no radiance: it is a {header.kind}", "Give OpenEXR, .hdr or float TIFF."
         )
-    header = _look(path, kind)
-    if not header.is_float:
+    if header.format != "float":
         raise FileDamagedError(f"{path} holds no radiance: it is a TIFF of integers", "Save it as floats.")
     pixels, alpha = _colours(_read_pixels(path, header), header)
-    if kind == "HDR":
+    if header.kind == "HDR":
         pixels = pixels / np.float32(_exposure_of_hdr(path))
     return Radiance(_sound(path, pixels.astype(np.float32)), alpha, None)
 
@@ -266,136 +209,141 @@ def _require_upright_hdr(path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _Header:
-    """What OpenImageIO says of a file before its pixels; ``format``: a NumPy type's name."""
+class _Frame:
+    """The display window: its size in pixels, and where in it the data begin (less than 0: before it)."""
 
     width: int
     height: int
-    channels: int
+    left: int
+    top: int
+
+    def around(self, plane: np.ndarray) -> np.ndarray:
+        """A channel's data ``[h, w]`` in the window: 0 where there are none, and nothing outside of it."""
+        height, width = plane.shape
+        if (self.left, self.top, width, height) == (0, 0, self.width, self.height):
+            return plane
+        whole = np.zeros((self.height, self.width), plane.dtype)
+        top, bottom = max(self.top, 0), min(self.top + height, self.height)
+        left, right = max(self.left, 0), min(self.left + width, self.width)
+        if top < bottom and left < right:
+            there = plane[top - self.top : bottom - self.top, left - self.left : right - self.left]
+            whole[top:bottom, left:right] = there
+        return whole
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What OpenImageIO says of a file's first picture before its pixels: ``width``, ``height`` of its data.
+
+    ``channels``: their names; ``alpha``: which of them is, or -1. ``format``: as it is read.
+    ``is_alone``: whether the file holds no other picture.
+    """
+
+    kind: Kind
+    width: int
+    height: int
+    frame: _Frame
+    channels: tuple[str, ...]
     alpha: int
     format: str
-
-    @property
-    def is_float(self) -> bool:
-        return self.format == "float32"
+    chromaticities: Chromaticities | None
+    is_alone: bool
 
 
-#: OpenImageIO's types and those that we read them as: all without loss.
-_READ_AS = {"uint8": "uint8", "uint16": "uint16", "half": "float32", "float": "float32", "double": "float32"}
-_RATIOS = {"PNG": MAX_DEFLATE_RATIO, "TIFF": MAX_TIFF_RATIO, "HDR": MAX_HDR_RATIO}
-
-
-def _opened(path: Path) -> Any:
-    """OpenImageIO's reader of a file; alpha is not multiplied in."""
-    import OpenImageIO  # here: most data sets do without, and it takes 0.4 s to load
-
+@contextmanager
+def _opened(path: Path, kind: Kind) -> Iterator[Any]:
+    """OpenImageIO's reader, alpha not multiplied in; what fails in the block is ``FileDamagedError``."""
     wanted = OpenImageIO.ImageSpec()
     wanted["oiio:UnassociatedAlpha"] = 1
-    with damaged_where_it_fails(f"{path} is not a readable picture", _DELETE):
+    name = "OpenEXR picture" if kind == "EXR" else kind
+    with damaged_where_it_fails(f"{path} is not a readable {name}", _DELETE):
         reader = OpenImageIO.ImageInput.open(str(path), wanted)
         if reader is None:
-            raise ValueError(OpenImageIO.geterror() or "no reader knows it")
-    return reader
+            raise ValueError(OpenImageIO.geterror().partition("\n")[0] or "no reader knows it")
+        try:
+            yield reader
+        finally:
+            reader.close()
 
 
-def _look(path: Path, kind: Kind) -> _Header:
-    """The header of a PNG, TIFF or .hdr; raises ``FileDamagedError`` where it cannot be believed."""
+def _look(path: Path) -> _Header:
+    """The header of a picture; raises as ``kind_of``, and ``FileDamagedError`` where it is not plausible."""
+    path = Path(path)
+    kind = kind_of(path)
     if kind == "HDR":
         _require_upright_hdr(path)
-    reader = _opened(path)
-    try:
-        spec = reader.spec()
+    with _opened(path, kind) as reader:
+        spec = reader.spec_dimensions(0)
+        whole = reader.spec()
+        told = whole.getattribute("chromaticities") if kind == "EXR" else None
+        inks = whole.get_string_attribute("jpeg:ColorSpace") if kind == "JPEG" else ""
         header = _Header(
-            spec.width, spec.height, spec.nchannels, spec.alpha_channel, _READ_AS.get(str(spec.format), "")
+            kind,
+            spec.width,
+            spec.height,
+            _Frame(spec.full_width, spec.full_height, spec.x - spec.full_x, spec.y - spec.full_y),
+            tuple(whole.channelnames),
+            whole.alpha_channel,
+            READ_AS.get(str(spec.format), ""),
+            None if told is None else _chromaticities(told),
+            kind != "EXR" or not reader.seek_subimage(1, 0),
         )
-    finally:
-        reader.close()
-    with damaged_where_it_fails(f"{path} is not a readable {kind}", _DELETE):
-        size = path.stat().st_size
-        if not (header.width > 0 and header.height > 0 and header.width * header.height <= MAX_PIXELS):
-            raise ValueError(f"it claims {header.width}×{header.height} pixels")
-        if header.format == "" or not 1 <= header.channels <= 8:
-            raise ValueError(
-                f"its pixels are {header.channels} × {spec.format}: 8 or 16 bits or floats are read"
-            )
-        bits = {"uint8": 1, "uint16": 16, "float32": 16}[header.format]  # of 8 bits there may be fewer
-        if header.width * header.height * header.channels * bits > 8 * _RATIOS[kind] * size:
-            raise ValueError(f"it claims {header.width}×{header.height} pixels in {size} bytes")
+        if whole.deep:
+            raise ValueError("it is deep, with any number of values a pixel")
+        if spec.tile_width * spec.tile_height > LARGEST_TILE:
+            raise ValueError(f"a tile of {spec.tile_width}×{spec.tile_height} pixels")
+        if inks in ("CMYK", "YCCK"):
+            raise ValueError("its colours are the four inks of print: save it again as RGB")
+        _check_claims(path, header, str(spec.format))
     return header
 
 
-def _read_pixels(path: Path, header: _Header) -> np.ndarray:
-    """``[H, W, C]`` of the header's type."""
-    reader = _opened(path)
-    try:
-        with damaged_where_it_fails(f"{path} is truncated or damaged", _DELETE):
-            wanted = "float" if header.is_float else header.format
-            pixels = reader.read_image(0, 0, 0, header.channels, wanted)
-            if pixels is None:
-                raise ValueError(reader.geterror() or "its pixels cannot be read")
-            pixels = np.asarray(pixels)
-            if pixels.shape != (header.height, header.width, header.channels):
-                raise ValueError(f"its pixels are {pixels.shape}")
-    finally:
-        reader.close()
+def _chromaticities(told: Sequence[float]) -> Chromaticities:
+    x = [float(value) for value in np.asarray(told, np.float64).reshape(8)]
+    return Chromaticities((x[0], x[1]), (x[2], x[3]), (x[4], x[5]), (x[6], x[7]))
+
+
+def _check_claims(path: Path, header: _Header, stored: str) -> None:
+    """Raises ``ValueError`` for what is not read, or cannot be in a file of this size."""
+    count, size = len(header.channels), path.stat().st_size
+    "".join(header.channels).encode()  # a name that is no text, which no message could show
+    if header.format == "" or not 1 <= count <= (MOST_CHANNELS if header.kind != "EXR" else count):
+        raise ValueError(f"its pixels are {count} × {stored}: 8 or 16 bits or floats are read")
+    claim = f"it claims {header.width}×{header.height} pixels of {count} channels in {size} bytes"
+    if not (header.width > 0 and header.height > 0 and header.width * header.height <= MAX_PIXELS):
+        raise ValueError(claim)
+    # A pixel of "8 bits" may have one, grey or of a palette.
+    bits = header.width * header.height * (1 if header.format == "uint8" else 16 * count)
+    if bits > 8 * MAX_RATIO.get(header.kind, bits) * size:
+        raise ValueError(claim)
+    frame = header.frame
+    if frame.width < 1 or frame.height < 1 or frame.width * frame.height > MAX_PIXELS:
+        raise ValueError(f"its display window has {frame.width}×{frame.height} pixels")
+
+
+def _read_pixels(path: Path, header: _Header, first: int = 0, end: int | None = None) -> np.ndarray:
+    """``[H, W, C]`` of the header's type: its channels from ``first`` to before ``end``."""
+    end = len(header.channels) if end is None else end
+    with _opened(path, header.kind) as reader:
+        pixels = reader.read_image(0, 0, first, end, header.format)
+        said = reader.geterror()
+        # Of a JPEG there are always pixels; some cameras' have bytes too many, of which libjpeg warns.
+        if pixels is None or (said and (header.kind != "JPEG" or "Premature end" in said)):
+            raise ValueError(f"truncated or damaged: {said.partition(chr(10))[0] or 'pixels are missing'}")
+        pixels = np.asarray(pixels)
+        if pixels.shape != (header.height, header.width, end - first):
+            raise ValueError(f"its pixels are {pixels.shape}")
     return pixels
 
 
 def _colours(pixels: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarray | None]:
     """``[H, W, 3]`` of colour or grey pixels ``[H, W, C]``, and the alpha ``[H, W]`` if there is one."""
-    alpha = pixels[..., header.alpha] if 0 <= header.alpha < header.channels else None
-    colours = pixels[..., [k for k in range(header.channels) if k != header.alpha][:3]]
+    count = len(header.channels)
+    alpha = pixels[..., header.alpha] if 0 <= header.alpha < count else None
+    colours = pixels[..., [k for k in range(count) if k != header.alpha][:3]]
     if colours.shape[2] < 3:
         colours = np.repeat(colours[..., :1], 3, axis=2)
     return np.ascontiguousarray(colours), alpha
-
-
-def read_picture(path: Path) -> np.ndarray:
-    """``[H, W, 3]`` uint8 of a PNG or JPEG, display-referred, as it is stored.
-
-    An alpha channel is ignored, never composited; EXIF's orientation is, too, as structure from motion
-    ignores it. Raises ``FileMissingError``, ``FileDamagedError`` (neither of the two, truncated, more than
-    8 bits a channel, no RGB, absurdly large).
-    """
-    return _open_picture(Path(path), READABLE, _as_rgb)
-
-
-def read_png(path: Path) -> np.ndarray:
-    """As ``read_picture``, PNG only."""
-    return _open_picture(Path(path), ("PNG",), _as_rgb)
-
-
-def _as_rgb(picture: Image.Image) -> np.ndarray:
-    return np.array(picture.convert("RGB"))
-
-
-def _as_rgb_and_alpha(picture: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
-    if not picture.has_transparency_data:
-        return _as_rgb(picture), None
-    both = np.array(picture.convert("RGBA"))
-    return np.ascontiguousarray(both[..., :3]), both[..., 3] / 255.0
-
-
-def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Image], T]) -> T:
-    """What ``look`` sees in a picture whose header can be believed."""
-    regular_file(path, _RESTORE)
-    kinds = " or ".join(formats)
-    unreadable = damaged_where_it_fails(f"{path} is not a readable {kinds}", _DELETE)
-    with unreadable, open_with_pillow(path, formats) as picture:
-        width, height = picture.size
-        if width * height > MAX_PIXELS:
-            raise ValueError(f"it claims {width}×{height} pixels")
-        if picture.mode not in EIGHT_BIT_MODES:
-            raise FileDamagedError(
-                f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
-                "Save it again as 8-bit RGB or RGBA.",
-            )
-        size = path.stat().st_size
-        if picture.format == "PNG" and width * height * PNG_BITS.get(picture.mode, 1) > (
-            8 * MAX_DEFLATE_RATIO * size
-        ):
-            raise ValueError(f"it claims {width}×{height} pixels in {size} bytes")
-        return look(picture)
 
 
 def open_with_pillow(path: Path, formats: tuple[str, ...]) -> Image.Image:
@@ -478,93 +426,21 @@ def read_exr_channels(
     channel.
     """
     regular_file(path, remedy)
-    headers = _exr_parts(path, header_only=True)
-    if len(headers) != 1 and not (headers and wanted):  # none is what a damaged file may come back as
-        raise _damaged_exr(path, f"it holds {len(headers)} pictures")
-    claims = _exr_claims(path, headers)
-    width, height, names = claims[0]
-    if not names or not set(wanted) <= set(names):
-        raise _damaged_exr(path, f"it has no channels {', '.join(wanted)} but {sorted(names)}")
-    parts = _exr_parts(path, header_only=False)
-    if len(parts) != len(claims) or set(parts[0].channels) != set(names):
-        raise _damaged_exr(path, "it is truncated: channels are missing")
-    planes = {}
-    for name in (*wanted, *(name for name in optional if name in names)) if wanted else names:
-        with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: channel {name}", _DELETE):
-            planes[name] = np.asarray(parts[0].channels[name].pixels).astype(np.float32)
-        if planes[name].shape != (height, width):
-            shape = planes[name].shape
-            raise _damaged_exr(path, f"channel {name} is {shape}, the header says {(height, width)}")
-    frame = _exr_frame(path, headers[0].header)
-    return {name: frame.around(plane) for name, plane in planes.items()}
-
-
-@dataclass(frozen=True)
-class _ExrFrame:
-    """The display window: its size in pixels, and where in it the data begin (less than 0: before it)."""
-
-    width: int
-    height: int
-    left: int
-    top: int
-
-    def around(self, plane: np.ndarray) -> np.ndarray:
-        """A channel's data ``[h, w]`` in the window: 0 where there are none, and nothing outside of it."""
-        height, width = plane.shape
-        if (self.left, self.top, width, height) == (0, 0, self.width, self.height):
-            return plane
-        whole = np.zeros((self.height, self.width), plane.dtype)
-        top, bottom = max(self.top, 0), min(self.top + height, self.height)
-        left, right = max(self.left, 0), min(self.left + width, self.width)
-        if top < bottom and left < right:
-            there = plane[top - self.top : bottom - self.top, left - self.left : right - self.left]
-            whole[top:bottom, left:right] = there
-        return whole
-
-
-def _exr_frame(path: Path, header: dict[str, Any]) -> _ExrFrame:
-    with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: its windows", _DELETE):
-        (x0, y0), (x1, y1) = (np.asarray(corner).tolist() for corner in header["displayWindow"])
-        left, top = np.asarray(header["dataWindow"][0]).tolist()
-    frame = _ExrFrame(x1 - x0 + 1, y1 - y0 + 1, left - x0, top - y0)
-    if frame.width < 1 or frame.height < 1 or frame.width * frame.height > MAX_PIXELS:
-        raise _damaged_exr(path, f"its display window has {frame.width}×{frame.height} pixels")
-    return frame
-
-
-def _exr_parts(path: Path, header_only: bool) -> list[Any]:
-    """The parts of a file; one that cannot be read is without its channels.
-
-    The binding warns of that in Python's stdout, where what a program tells other programs goes; the error
-    that comes of it says as much.
-    """
-    with (
-        damaged_where_it_fails(f"{path} is not a readable OpenEXR picture", _DELETE),
-        _stdout_lock,
-        redirect_stdout(cast(TextIO, _OfOtherThreads(sys.stdout))),
-    ):
-        return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
-
-
-def _exr_claims(path: Path, headers: Sequence[Any]) -> list[tuple[int, int, list[str]]]:
-    """``_exr_claim`` of each part; raises ``FileDamagedError`` where the file is too small for it."""
-    claims = [_exr_claim(path, part.header) for part in headers]
-    size = path.stat().st_size
-    for width, height, names in claims:
-        most = min(MAX_PIXELS, size * MAX_PIXELS_PER_BYTE, size * MAX_VALUES_PER_BYTE // max(len(names), 1))
-        if width < 1 or height < 1 or width * height > most:
-            claim = f"it claims {width}×{height} pixels of {len(names)} channels in {size} bytes"
-            raise _damaged_exr(path, claim)
-    return claims
-
-
-def _exr_size(path: Path) -> tuple[int, int]:
-    headers = _exr_parts(path, header_only=True)
-    if not headers:
-        raise _damaged_exr(path, "it holds no picture")
-    _exr_claims(path, headers)
-    frame = _exr_frame(path, headers[0].header)
-    return frame.width, frame.height
+    header = _look(path)
+    if header.kind != "EXR":
+        raise _damaged_exr(path, f"it is a {header.kind}")
+    if not (header.is_alone or wanted):
+        raise _damaged_exr(path, "it holds several pictures")
+    if not set(wanted) <= set(header.channels):
+        raise _damaged_exr(path, f"it has no channels {', '.join(wanted)} but {sorted(header.channels)}")
+    names = (*wanted, *(name for name in optional if name in header.channels)) if wanted else header.channels
+    places = [header.channels.index(name) for name in names]
+    first = min(places)
+    pixels = _read_pixels(path, header, first, max(places) + 1)
+    return {
+        name: header.frame.around(np.ascontiguousarray(pixels[..., place - first]))
+        for name, place in zip(names, places, strict=True)
+    }
 
 
 def exr_chromaticities(path: Path) -> Chromaticities | None:
@@ -572,26 +448,7 @@ def exr_chromaticities(path: Path) -> Chromaticities | None:
 
     Raises ``FileDamagedError`` where it is no eight numbers.
     """
-    told = _exr_parts(path, header_only=True)[0].header.get("chromaticities")
-    if told is None:
-        return None
-    with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: its chromaticities", _DELETE):
-        x = [float(value) for value in np.asarray(told, np.float64).reshape(8)]
-        return Chromaticities((x[0], x[1]), (x[2], x[3]), (x[4], x[5]), (x[6], x[7]))
-
-
-def _exr_claim(path: Path, header: dict[str, Any]) -> tuple[int, int, list[str]]:
-    """Width, height and channels that a part's header tells of."""
-    with damaged_where_it_fails(
-        f"{path} is not a readable OpenEXR picture: its header means nothing", _DELETE
-    ):
-        if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-            raise ValueError("it is deep, with any number of values a pixel")
-        tile = header.get("tiles")
-        if tile is not None and tile.xSize * tile.ySize > LARGEST_TILE:
-            raise ValueError(f"a tile of {tile.xSize}×{tile.ySize} pixels")
-        (x0, y0), (x1, y1) = (np.asarray(corner).tolist() for corner in header["dataWindow"])
-        return x1 - x0 + 1, y1 - y0 + 1, [channel.name for channel in header.get("channels", [])]
+    return _look(path).chromaticities
 
 
 def _damaged_exr(path: Path, why: str) -> FileDamagedError:

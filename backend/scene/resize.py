@@ -7,7 +7,6 @@ INTER_AREA, ImageMagick), the 3DGS lineage (HDR-GS, GaussHDR) resamples with Pil
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -16,7 +15,6 @@ from PIL import Image
 from ...bridge.errors import BadValueError
 from .camera import Camera
 from .encoding import Encoding
-from .pictures import read_picture
 
 Filter = Literal["area", "bicubic"]
 
@@ -46,10 +44,6 @@ class Reduction:
     def size(self, width: int, height: int) -> tuple[int, int]:
         """The reduced size, rounded, at least one pixel."""
         return max(1, round(width / self.factor)), max(1, round(height / self.factor))
-
-    def read(self, path: Path) -> np.ndarray:
-        """``[h, w, 3]`` uint8: a picture from disk, reduced; raises what ``read_picture`` raises."""
-        return self.picture(read_picture(path))
 
     def picture(self, picture: np.ndarray, radiance: Encoding | None = None) -> np.ndarray:
         """``[H, W, 3]`` uint8 or uint16 → ``[h, w, 3]`` of the same type.

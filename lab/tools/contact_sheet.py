@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from physhdr.backend.inspect import inspect
 from physhdr.backend.inspect.findings import Inspection
 from physhdr.backend.inspect.layers import read_layers
-from physhdr.backend.scene.pictures import read_exr, read_png
+from physhdr.backend.scene.pictures import read_codes, read_exr
 from physhdr.bridge.atomic import atomic_path
 from physhdr.bridge.errors import BadValueError, FileMissingError, OutputError, PhysHDRError
 from physhdr.synth.png import quantise
@@ -109,7 +109,7 @@ def chosen_view(found: Inspection, view: int | None) -> int:
 
 
 def exposed(root: Path, pose: int, k: int, found: Inspection) -> tuple[str, np.ndarray]:
-    return f"EV {found.exposures[k].ev:+g}", read_png(root / "test" / f"r_{pose}_{k}.png")
+    return f"EV {found.exposures[k].ev:+g}", read_codes(root / "test" / f"r_{pose}_{k}.png")[0]
 
 
 def relit(root: Path, pose: int, level: float, found: Inspection) -> tuple[str, np.ndarray | None]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from physhdr.backend.scene.pictures import read_exr, read_picture
+from physhdr.backend.scene.pictures import read_codes, read_exr
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "example.py"
 
@@ -19,7 +19,7 @@ def test_a_plain_loop_finds_the_radiance_and_its_light(tmp_path, tiny_data):
     radiance, relit = (read_exr(tmp_path / name) for name in ("radiance.exr", "relit.exr"))
     truth = read_exr(tiny_data / "test_hdr" / "hdr_000.exr")
     true_relit = read_exr(tiny_data / "relit" / "level_0.5" / "hdr_000.exr")
-    assert read_picture(tmp_path / "picture.png").shape == radiance.shape == truth.shape
+    assert read_codes(tmp_path / "picture.png")[0].shape == radiance.shape == truth.shape
     covered = (radiance > 0.02) & (truth > 0.05)  # the first Gaussians leave gaps
     error = np.log(radiance[covered] / truth[covered])
     assert covered.mean() > 0.5 and abs(np.median(error)) < 0.15 and np.abs(error).mean() < 0.5

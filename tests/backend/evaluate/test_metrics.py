@@ -25,7 +25,7 @@ from physhdr.backend.evaluate.metrics import (
     ssim,
     ssim_map,
 )
-from physhdr.backend.scene.pictures import read_png
+from physhdr.backend.scene.pictures import read_codes
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 
 #: A folder with LPIPS' weights and the pictures that its authors publish distances of (docs/formats.md).
@@ -207,7 +207,7 @@ def test_scale_ratio_is_the_median_over_what_is_lit() -> None:
 
 
 def example(name: str) -> torch.Tensor:
-    return torch.from_numpy(read_png(LPIPS_FOLDER / name)).permute(2, 0, 1).float() / 255.0
+    return torch.from_numpy(read_codes(LPIPS_FOLDER / name)[0]).permute(2, 0, 1).float() / 255.0
 
 
 @needs_weights

@@ -327,7 +327,7 @@ DAMAGES = {
     "a truncated picture": (
         lambda at: (at / "test/r_1_0.png").write_bytes((at / "test/r_1_0.png").read_bytes()[:900]),
         FileDamagedError,
-        r"test/r_1_0.png is truncated or damaged",
+        r"test/r_1_0.png is not a readable PNG .truncated or damaged",
     ),
     "no picture": (
         lambda at: (at / "test/r_1_0.png").write_text("a picture"),

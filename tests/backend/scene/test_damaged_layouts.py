@@ -336,13 +336,14 @@ def test_exposures_of_hdr_gs_are_never_assumed(layouts: ModuleType, tmp_path: Pa
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_a_truncated_picture_is_found_when_it_is_decoded(layouts: ModuleType, tmp_path: Path, suffix) -> None:
+def test_a_truncated_picture_is_found_by_the_time_it_is_decoded(
+    layouts: ModuleType, tmp_path: Path, suffix
+) -> None:
     root = layouts.write_gausshdr(tmp_path / "data", suffix=suffix)
     path = root / "images" / f"train_r_2_1.{suffix}"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    view = read_scene(root).find("train", 2)
-    with pytest.raises(FileDamagedError, match=rf"train_r_2_1.{suffix} is not a readable PNG or JPEG"):
-        view.image(1)
+    with pytest.raises(FileDamagedError, match=rf"train_r_2_1.{suffix} is not a readable"):
+        read_scene(root).find("train", 2).image(1)
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])

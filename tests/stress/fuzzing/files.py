@@ -159,11 +159,13 @@ def write_layers(folder: Path) -> None:
 
 
 def read_picture(folder: Path, file: str, _: bytes) -> None:
-    from physhdr.backend.scene.pictures import picture_size, read_picture
+    from physhdr.backend.scene.pictures import picture_size, read_codes
 
     size = picture_size(folder / file)
-    picture = read_picture(folder / file)
-    require(picture.dtype == np.uint8 and picture.shape == (size[1], size[0], 3), "a picture's size")
+    picture, _alpha = read_codes(folder / file)
+    require(
+        picture.dtype in (np.uint8, np.uint16) and picture.shape == (size[1], size[0], 3), "a picture's size"
+    )
 
 
 def read_source(folder: Path, file: str, _: bytes) -> None:
