@@ -69,6 +69,8 @@ class Lane(threading.Thread):
         for name, command in self.suites.items():
             begun = time.perf_counter()
             environment = ENVIRONMENTS.get(name, {}) | os.environ
+            # Else each of the processes that tests start would compile every module again.
+            environment.pop("PYTHONDONTWRITEBYTECODE", None)
             words = [str(part) for part in command] + self.arguments * (name != "lint")
             if self.loud:
                 say(f"\n== {name} ==")
