@@ -238,7 +238,7 @@ def gaussians_in(path: Path, ply: Ply) -> GaussianPly:
     if is_compressed(ply):
         raise FileDamagedError(
             f"{path} is a compressed PLY (PlayCanvas, SuperSplat): it has no columns of Gaussians",
-            "Convert it: physhdr convert IN OUT.ply",
+            "Convert it: physhdr export IN OUT.ply",
         )
     vertex = ply.elements["vertex"]
     names: list[str] = [*(vertex.dtype.names or ())]

@@ -41,7 +41,7 @@ class Probe:
     ``at``: metres, in the model's own space. ``lights``: those that have a panorama each; () where the model
     cannot tell its lights apart, and ``fixed.exr`` is all of its light. ``unseen``: the share of the sphere
     that nothing covered, filled from its rim. ``near``: metres within which Gaussians were left out, and
-    ``left_out`` how many. ``gaussians``: of the model. ``made_by``: physhdr panorama, or Blender.
+    ``left_out`` how many. ``gaussians``: of the model. ``made_by``: physhdr, or Blender.
     """
 
     at: tuple[float, float, float]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The frames of a video as a file: for each a camera, an exposure and the lights' levels.
 
-Blender writes it from the scene's camera and its keyframes, ``physhdr video --shots`` reads it. JSON, in the
-terms of ``transforms.json``: ``transform_matrix`` is camera to world in the capture's own space, OpenGL axes.
+Blender writes it from the scene's camera and its keyframes, ``physhdr render --camera`` reads it. JSON, in
+the terms of ``transforms.json``: ``transform_matrix`` is camera to world in the capture's own space, OpenGL
+axes.
 """
 
 import json

@@ -109,7 +109,7 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
     )
     folder: bpy.props.StringProperty(
         name="Folder",
-        description="A probe of this model that physhdr panorama has drawn: it is used as it is",
+        description="A probe of this model that physhdr render --at has drawn: it is used as it is",
         subtype="DIR_PATH",
         options=FOLDER,
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators for what a run is worth and what it shows: evaluate it, make a video or a web page of it.
 
-All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``), in a process of its own: one
+All are the backend's work (``physhdr evaluate``, ``render``, ``export``), in a process of its own: one
 keeps working beside it.
 """
 
@@ -236,7 +236,7 @@ class PHYSHDR_OT_results_video(_OnRun):
             )
         out = str(self._out(run))
         options = self._options(context, run)
-        command = video_command(run, out, options, data, is_folder=self.format == "PNG")
+        command = video_command(run, out, options, data)
         done = self.follow(command, f"Wrote {out}")
         _made[run] = out
         return done

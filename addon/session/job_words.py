@@ -43,7 +43,7 @@ PHRASES_OF_RESULTS = (
     (r"\bAdd --sweep exposure or lighting\b", "Set Change to Exposure or Light"),
     (r"\bUse --sweep exposure, .* with light \(default\)", "Set Change to Exposure, or train with Default"),
     (r"\bGive a --sweep-range whose ends differ\b", "Set Change to something else"),
-    (r"\bwrite --frames instead", "set Format to Pictures"),
+    (r"\bwrite numbered pictures instead \(--out FOLDER\)", "set Format to Pictures"),
     (r"\bwrite an \.mp4", "set Format to MP4"),
     (r": --data DATA\b", ": Data Set"),
 )
@@ -62,7 +62,7 @@ OPTION = re.compile(r"(?<![^\s(])--[a-z][a-z-]*")
 #: Below a remedy with an option that the panel has no counterpart of.
 OF_THE_COMMAND_LINE = "What begins with -- is an option of physhdr {}, on the command line."
 #: The commands of the tasks that are called otherwise.
-COMMANDS = {WEB: "export", BAKE: "convert", LIGHT: "panorama"}
+COMMANDS = {VIDEO: "render", WEB: "export", BAKE: "export", LIGHT: "render"}
 
 
 def in_panel_words(text: str) -> str:
@@ -77,7 +77,7 @@ def for_panel(failure: Failure) -> Failure:
 
 def of_result(message: str, hint: str, task: str) -> tuple[str, str]:
     """The same of a task that makes something of a run or a model: what failed, and the remedy."""
-    names = OPTIONS_OF_RESULTS | dict.fromkeys(("--out", "--web", "--frames"), TARGETS[task])
+    names = OPTIONS_OF_RESULTS | {"--out": TARGETS[task]}
 
     def told(text: str) -> str:
         text = _replaced(text, PHRASES_OF_RESULTS)

@@ -14,7 +14,7 @@ def panorama_command(
 
     ``places``: each in the model's own space, metres, and the folder for what is seen from there.
     """
-    command = ["panorama", source, "--width", str(width), "--json"]
+    command = ["render", source, "--width", str(width), "--json"]
     for place, folder in places:
         command += ["--at", *(f"{value:.9g}" for value in place), "--out", folder]
     return command

@@ -2,7 +2,7 @@
 """A run's evaluation, videos, web page and a model's bake, as the panel asks for them and says them. Pure but
 for reading the figures.
 
-All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``, ``convert``), in a process of
+All are the backend's work (``physhdr evaluate``, ``render``, ``export``), in a process of
 its own.
 """
 
@@ -78,13 +78,11 @@ def evaluate_command(run: str, data: str = "", lpips_weights: str = "") -> list[
     return ["evaluate", run, *_data(data), *arguments, "--json"]
 
 
-def video_command(
-    run: str, out: str, options: VideoOptions, data: str = "", is_folder: bool = False
-) -> list[str]:
+def video_command(run: str, out: str, options: VideoOptions, data: str = "") -> list[str]:
     """The arguments of the backend's command that makes a video ``out``, or numbered pictures in a folder."""
-    arguments = ["video", run, "--frames" if is_folder else "--out", out, *_data(data)]
+    arguments = ["render", run, "--out", out, *_data(data)]
     if options.shots:
-        arguments += ["--shots", options.shots]
+        arguments += ["--camera", options.shots]
     else:
         arguments += ["--path", options.path] if options.path else []
         arguments += ["--sweep", options.sweep] if options.sweep != "none" else []
@@ -97,8 +95,7 @@ def video_command(
 
 def web_command(run: str, out: str, data: str = "", single_file: bool = True) -> list[str]:
     """The arguments of the backend's command that writes a web page: ``out``, one file or a folder."""
-    alone = ["--single-file"] if single_file else []
-    return ["export", run, "--web", out, *alone, *_data(data), "--json"]
+    return ["export", run, out, *([] if single_file else ["--web"]), *_data(data), "--json"]
 
 
 def bake_command(
@@ -111,7 +108,7 @@ def bake_command(
     # After a space no name is taken for an option, whatever it begins with.
     settings = [f"{' ' * name.startswith('-')}{name}={level:.9g}" for name, level in levels.items()]
     look = [f"--exposure-ev={exposure_ev:.9g}", "--tone", tone.lower(), "--lighting-levels", *settings]
-    return ["convert", model, out, "--cameras", cameras, "--json", *look]
+    return ["export", model, out, "--cameras", cameras, "--json", *look]
 
 
 def why_not_on_run(state: State, task: str, run: str = "given") -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command ``physhdr``: train, evaluate, benchmark, export, render, video, prepare, inspect, …"""
+"""The command ``physhdr``: train, evaluate, benchmark, export, render, prepare, inspect, …"""
 
 import errno
 import io
@@ -163,22 +163,19 @@ def _command(argv: list[str]) -> Any:
 
     if argv[:1] == ["synthesise"]:  # what comes after its two dashes is another program's
         return parsed(argv[1:])
-    from .convert import Convert
+    from .export import Export
 
-    if argv[:1] == ["convert"]:  # without the others, which take seconds to import torch
-        return tyro.cli(Convert, prog="physhdr convert", args=argv[1:])
+    if argv[:1] == ["export"]:  # without the others, which take seconds to import torch
+        return tyro.cli(Export, prog="physhdr export", args=argv[1:])
     from .calibrate import Calibrate
     from .check import Check
     from .evaluate import Evaluate
-    from .export import Export
     from .inspect import Inspect
     from .layout import LayOut
-    from .panorama import Panorama
     from .prepare import Prepare
     from .render import Render
     from .train import Train, options_in, preset_named
     from .triangulate import Triangulate
-    from .video import Video
 
     # The preset decides the defaults of the other options, so it is read first.
     train = Train(config=preset_named(argv), typed=options_in(argv))
@@ -186,11 +183,8 @@ def _command(argv: list[str]) -> Any:
         Annotated[Train, tyro.conf.subcommand("train", default=train)]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
-        | Annotated[Convert, tyro.conf.subcommand("convert")]
         | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
         | Annotated[Render, tyro.conf.subcommand("render")]
-        | Annotated[Video, tyro.conf.subcommand("video")]
-        | Annotated[Panorama, tyro.conf.subcommand("panorama")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
         | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]
         | Annotated[LayOut, tyro.conf.subcommand("layout")]

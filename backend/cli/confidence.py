@@ -55,7 +55,7 @@ def write_confidence(run: Run, camera: Camera, out: Path) -> list[Path]:
 
 
 def write_confidence_around(run: Run, at: tuple[float, float, float], width: int, out: Path) -> list[Path]:
-    """``write_confidence`` in all directions: what ``physhdr panorama`` draws there, pixel by pixel.
+    """``write_confidence`` in all directions: what ``physhdr render --at`` draws there, pixel by pixel.
 
     0 where nothing was ever seen, which the panorama fills. Raises as ``check_position`` and ``check_width``.
     """

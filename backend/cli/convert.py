@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr convert``: a run, a model or another program's file of Gaussians as a file of another format."""
+"""``physhdr export IN OUT.spz``: a run, a model or another program's Gaussians in another format."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 
 from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import FITTED_COMMENT, TONE_WORDS, Tone, display_colour_sh, look_comment, look_words
@@ -33,8 +32,9 @@ from ..formats.colours import (
 from ..formats.table import Target, target_of
 from ..project import version
 from ..runs.terminal import console
+from .exporting import BakedLook, Exporting
 from .lighting import levels_asked
-from .told import Told, answered, progress, saying
+from .told import Told, progress, saying
 
 if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
     from ..runs.run import Run
@@ -78,29 +78,14 @@ class Look:
     tone: Tone
 
 
-@dataclass(frozen=True)
-class Convert:
-    """Write Gaussians in the format of another program; the second name's suffix decides.
+@dataclass(frozen=True, kw_only=True)
+class FormatOptions:
+    """Of one file in the format of another program, or made of one."""
 
-    Reads a run's folder, .safetensors, .ply (compressed too), .spz, .splat, .ksplat, .sog (or its meta.json),
-    .glb, .gltf and USD; writes .ply, .spz, .glb, .gltf, .usdc, .usda, .usd, .usdz and .safetensors.
-    """
-
-    #: A run's folder, or a file of Gaussians.
-    source: tyro.conf.Positional[Path]
-    #: The file to write.
-    out: tyro.conf.Positional[Path]
     #: Which way is up in the file; default: as its format has it (SPZ and glTF y, the others z).
     up: Up | None = None
     #: Which way is up in the source; default: as it says, or as its format has it (others' PLY: colmap).
     from_up: Up | None = None
-    #: Exposure in EV (log2 of seconds) of a model's look (default: of the middle exposure), or of the
-    #: radiance in USD (default 0: it is written as it is).
-    exposure_ev: float | None = None
-    #: Level of the first light, the ambient one wherever that has levels.
-    lighting_level: float = 1.0
-    #: Lights by name: NAME=VALUE …; those not named are at 1.
-    lighting_levels: tuple[str, ...] = ()
     #: A model's response: learned, or the sRGB curve; default: learned where it has one.
     tone: Literal["learned", "srgb"] | None = None
     #: What another program's colours are, where the file does not say; default: srgb.
@@ -113,20 +98,16 @@ class Convert:
     #: Of a model file: the run or data set whose cameras saw what it shows. Display colours are fitted to the
     #: model's pictures from there, as those of a run always are. docs/other-programs.md
     cameras: Path | None = None
-    #: Convert colours one by one instead: at once, but their blend is another picture.
-    quick: bool = False
     #: Version of SPZ: 3 (default) is read by more programs, 4 is smaller.
     spz_version: Literal[3, 4] | None = None
-    #: The data set of a run, where it has moved since training.
-    data: Path | None = None
-    #: Say the result or the error as JSON, an object a line.
-    json: bool = False
 
-    def run(self) -> int:
-        return answered(self._work, self.json)
 
-    def _work(self) -> dict[str, Any]:
-        target = target_of(self.out)
+@dataclass(frozen=True, kw_only=True)
+class Convert(Exporting, BakedLook, FormatOptions):
+    """Gaussians in the format of another program; the second name's suffix decides."""
+
+    def work(self) -> dict[str, Any]:
+        target = target_of(self.file)
         self._refuse_what_does_not_fit(target)
         say = saying(self.json)
         source = read_source(self.source, self.data, self.color_space, say)
@@ -137,7 +118,7 @@ class Convert:
             model, too_bright, told = _as_model(self.source, source)
             told += without
             source = replace(source, left_out=source.left_out + too_bright)
-            write_model(self.out, model)
+            write_model(self.file, model)
             count = model.count
         else:
             linear = self._wants_linear(target)
@@ -155,15 +136,21 @@ class Convert:
         for note in notes:
             say(note)
         axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
-        say(f"wrote {self.out}: {count} Gaussians, {told}{axes}{lost}")
-        return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": notes}
+        say(f"wrote {self.file}: {count} Gaussians, {told}{axes}{lost}")
+        return {"out": str(self.file), "gaussians": count, "up": up, "told": told, "notes": notes}
+
+    @property
+    def file(self) -> Path:
+        """The file to write."""
+        assert self.out is not None
+        return self.out
 
     def _with_confidence(self, source: Source) -> tuple[Source, str]:
         """A run's model as ``physhdr export`` writes it, and what is said of it where nothing tells its
         confidence; anything else as it is."""
         if source.run is None:
             return source, ""
-        from .export import NO_CONFIDENCE
+        from .run_files import NO_CONFIDENCE
 
         with progress("confidence", "view", self.json) as show:
             model = source.run.model(show)
@@ -184,12 +171,12 @@ class Convert:
                 "Leave it out, or write .glb with --tone srgb.",
             )
         if self.display_colors and target.name != "USD":
-            raise BadValueError(f"--display-colors is of USD, and {self.out.name} is none", "Leave it out.")
+            raise BadValueError(f"--display-colors is of USD, and {self.file.name} is none", "Leave it out.")
         if self.spz_version is not None and target.name != "SPZ":
-            raise BadValueError(f"--spz-version is of SPZ, and {self.out.name} is none", "Leave it out.")
+            raise BadValueError(f"--spz-version is of SPZ, and {self.file.name} is none", "Leave it out.")
         if (self.cameras is not None or self.quick) and (target.holds != "display" or self.blend_linear):
             raise BadValueError(
-                f"--{'quick' if self.quick else 'cameras'} is of display colours: {self.out.name} has none",
+                f"--{'quick' if self.quick else 'cameras'} is of display colours: {self.file.name} has none",
                 "Leave it out.",
             )
         if self.cameras is not None and self.quick:
@@ -319,19 +306,19 @@ class Convert:
         """Write it; sentences for the user about what the format did not hold."""
         if target.name == "PLY":
             arrays = (cloud.position, cloud.rotation, cloud.scale, cloud.opacity, cloud.colour_sh)
-            write_standard_ply(self.out, *arrays, comments=comments, up=cloud.up)
+            write_standard_ply(self.file, *arrays, comments=comments, up=cloud.up)
         elif target.name == "SPZ":
-            return write_spz(self.out, cloud, self.spz_version or SPZ_VERSION)
+            return write_spz(self.file, cloud, self.spz_version or SPZ_VERSION)
         elif target.name == "glTF":
             from ..formats.gltf import write_gltf
 
             space = "lin_rec709_display" if self.blend_linear else "srgb_rec709_display"
-            write_gltf(self.out, cloud, space, f"PhysHDR {version()}")
+            write_gltf(self.file, cloud, space, f"PhysHDR {version()}")
         else:
             from ..formats.usd import DISPLAY, RADIANCE, write_usd
 
             comment = "\n".join([f"PhysHDR {version()}", *comments])
-            write_usd(self.out, cloud, cloud.up, comment, DISPLAY if self.display_colors else RADIANCE)
+            write_usd(self.file, cloud, cloud.up, comment, DISPLAY if self.display_colors else RADIANCE)
         return ()
 
 

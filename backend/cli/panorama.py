@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr panorama``: the light at a place in a trained model, as panoramas that light a scene."""
+"""``physhdr render --at``: the light at a place in a trained model, as panoramas that light a scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,6 @@ from ...bridge.panorama import near_distance
 from ...bridge.ply_model import read_ply_model
 from ...bridge.probe import WIDTH, Probe, begin, check_width, finish
 from ...bridge.signals import caught, interrupt
-from ..device import DeviceName
 from ..evaluate.panorama import SPLATS_WIDTH, Draw, Report, lit_model, surroundings
 from ..methods.base import Method
 from ..project import version
@@ -27,7 +26,8 @@ from ..runs.run import open_run
 from ..scene import Camera
 from ..scene.pictures import write_exr
 from .given import given_of
-from .told import answered, line, saying
+from .rendering import Rendering
+from .told import line, saying
 
 #: What is told of a model that cannot tell its lights apart.
 NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and levels do not change it"
@@ -35,39 +35,26 @@ NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and 
 #: A place, and a panorama's rows, are in the file's own axes, as Blender has them when it imports the file.
 OTHER_AXES = (
     "{} has {}: --at and the panorama are in these axes, not upright. To have +Z up, make a model of it "
-    "first: physhdr convert IN OUT.safetensors"
+    "first: physhdr export IN OUT.safetensors"
 )
 
 
-@dataclass(frozen=True)
-class Panorama:
-    """Draw what a trained model sees from a place, in all directions: a light probe.
+@dataclass(frozen=True, kw_only=True)
+class PlaceOptions:
+    """What is seen from a place in all directions: a folder with fixed.exr and an .exr for each light
+    (equirectangular, scene-linear, 32 bits), which add up to the light at any levels, and probe.json."""
 
-    Writes fixed.exr and an .exr for each light (equirectangular, scene-linear, 32 bits), which add up to the
-    light at any levels, and probe.json.
-    """
-
-    #: Folder of a run, or a model file that was exported (.safetensors, .ply).
-    source: tyro.conf.Positional[Path]
     #: The place: X Y Z in metres, in the model's space. Several: give --at and --out several times.
-    at: Annotated[list[tuple[float, float, float]], tyro.conf.UseAppendAction]
-    #: The folder to write; one for each place.
-    out: Annotated[list[Path], tyro.conf.UseAppendAction]
-    #: Pixels across: a power of two. The height is half of it.
-    width: int = WIDTH
+    at: Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction] = ()
     #: Metres: Gaussians nearer than this are left out. Default: a fiftieth of their median distance.
     near: float | None = None
-    #: The data set, where it has moved since training.
-    data: Path | None = None
-    rasteriser: Implementation = "auto"
-    device: DeviceName = "auto"
-    #: Tell a program what happens: a JSON object a line.
-    json: bool = False
 
-    def run(self) -> int:
-        return answered(self._work, self.json)
 
-    def _work(self) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Panorama(Rendering, PlaceOptions):
+    """What a trained model sees from places, in all directions: light probes."""
+
+    def work(self) -> dict[str, Any]:
         with caught(interrupt), torch.no_grad():
             return {"probes": self._probes()}
 
@@ -80,7 +67,8 @@ class Panorama:
             check_position(place, "--at")
         if self.near is not None and not self.near >= 0.0:
             raise BadValueError(f"--near must be 0 m or more, got {self.near}")
-        check_width(self.width)
+        width = WIDTH if self.width is None else self.width
+        check_width(width)
         model = self._opened()
         told, say = [], saying(self.json)
         for number, (place, folder) in enumerate(zip(self.at, self.out, strict=True)):
@@ -89,7 +77,7 @@ class Panorama:
                 if self.json:
                     line(progress=(number + done) / len(self.at), message=folder.name)
 
-            probe = self._probe(model, place, folder, report)
+            probe = self._probe(model, place, width, folder, report)
             told.append({"folder": str(folder), "unseen": probe.unseen})
             say(
                 f"wrote {folder}: {', '.join(probe.files)}; {probe.unseen:.1%} of the sphere was never "
@@ -123,22 +111,23 @@ class Panorama:
         self,
         model: "_OfModel | _OfMethod",
         place: Sequence[float],
+        width: int,
         folder: Path,
         report: Report,
     ) -> Probe:
         near = near_distance(model.positions, np.asarray(place)) if self.near is None else self.near
         begin(folder)
-        found = surroundings(model.draw(place, near), place, self.width, report, model.drawn_width)
+        found = surroundings(model.draw(place, near), place, width, report, model.drawn_width)
         x, y, z = place
         probe = Probe(
             at=(x, y, z),
-            width=self.width,
+            width=width,
             lights=model.lights,
             unseen=found.unseen,
             near=near,
             left_out=model.left_out,
             gaussians=len(model.positions),
-            made_by=f"physhdr panorama {version()}",
+            made_by=f"physhdr {version()}",
             source=str(self.source.absolute()),
         )
         for name, part in zip(probe.files, found.parts, strict=True):

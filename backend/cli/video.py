@@ -1,33 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr video``: a trained run along a path of cameras, through exposures, or under changing light."""
+"""``physhdr render`` of videos: along a path of cameras, through exposures, or under changing light."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import groupby, islice
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import tyro
 
 from ...bridge.errors import BadValueError
 from ...bridge.limits import EXPOSURE, LEVEL
 from ...bridge.shots import Shots
-from ..device import DeviceName
 from ..evaluate.camera_path import camera_of, levels_of, orbit_path, spline_path
 from ..evaluate.renderer import Renderer
 from ..evaluate.sheets import as_picture
 from ..evaluate.video import frames_writer, require_suffix, video_writer
-from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import open_run
 from ..scene import Camera, Scene
-from .given import given_of
+from .given import given_of, is_folder
 from .lighting import levels_asked
-from .render import camera_named, shots_in
-from .told import answered, progress, saying
+from .rendering import CameraOptions, LookOptions, Rendering, camera_named
+from .told import progress, saying
 
 #: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
 LIGHT_RANGE = (0.125, 8.0)
@@ -37,6 +33,8 @@ LIGHT_RANGE = (0.125, 8.0)
 SLOWEST = 1001
 #: So many pictures of one view are held at once while their exposure changes.
 AT_ONCE = 16
+#: What a file of cameras says itself.
+OF_A_PATH = ("path", "sweep", "lighting_level", "lighting_levels", "seconds", "fps")
 
 
 @dataclass(frozen=True)
@@ -48,26 +46,13 @@ class Frame:
     levels: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class Video:
-    """A video (H.264), an animated WebP or numbered pictures, through the learned response."""
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions:
+    """A video, an animated WebP or a folder of numbered pictures, through the learned response: of --camera,
+    or along a path while something changes."""
 
-    #: Folder of the run.
-    folder: tyro.conf.Positional[Path]
-    #: The video to write: .mp4, .mov or .mkv (these need the package av), or .webp, which web pages loop.
-    out: Path | None = None
-    #: Folder for numbered PNG files, beside or instead of the video.
-    frames: Path | None = None
     #: Through the training cameras, round their middle, or standing still (the default of a sweep).
     path: Literal["spline", "orbit", "still"] | None = None
-    #: A file with every frame's camera, stops of exposure and levels, as Blender's panel writes it
-    #: (docs/formats.md), instead of a path and a sweep; its size and its frames a second are the video's.
-    #: Or a path of nerfstudio's viewer (JSON), or a USD camera.
-    shots: Path | None = None
-    #: Which of a USD file's cameras, by its path or name; it may have one alone.
-    camera_prim: str | None = None
-    #: dataparser_transforms.json of the nerfstudio training whose viewer made the path: its world is another.
-    camera_space: Path | None = None
     #: What changes: exposure from the shortest to the longest and back, one light's level, or both: exposure
     #: in the first half, light in the second, each from where it stands to both ends and back.
     sweep: Literal["none", "exposure", "lighting", "both"] = "none"
@@ -75,31 +60,19 @@ class Video:
     sweep_range: tuple[float, float] | tuple[float, float, float, float] | None = None
     #: Which light a lighting sweep turns; default: the first.
     light: str | None = None
-    #: Where a still camera stands: SPLIT/POSE; default: the first test view.
-    view: str | None = None
-    #: Seconds of exposure, but in an exposure sweep; default: the middle exposure of the data set.
-    exposure: float | None = None
-    #: Levels of lights by name: NAME=VALUE …; those not named are at 1. A sweep of both begins there.
-    lighting_levels: tuple[str, ...] = ()
     #: Length in seconds.
     seconds: float = 6.0
     fps: int = 30
-    #: Width in pixels (the height follows); default: the data set's.
-    width: int | None = None
-    #: The data set, where it has moved since training.
-    data: Path | None = None
-    rasteriser: Implementation = "auto"
-    device: DeviceName = "auto"
-    #: Say how far it is, and the result or the error, as JSON, an object a line.
-    json: bool = False
 
-    def run(self) -> int:
-        return answered(self._work, self.json)
 
-    def _work(self) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
+    """A video (H.264), an animated WebP or numbered pictures, or several of them."""
+
+    def work(self) -> dict[str, Any]:
         self._check()
         say = saying(self.json)
-        run = open_run(self.folder, self.data, self.rasteriser, self.device, say, pictures=False)
+        run = open_run(self.source, self.data, self.rasteriser, self.device, say, pictures=False)
         shots = self.shots_of(run.scene)
         frames = self.plan(run.scene, run.method, shots)
         # As it is: 24 / 1.001 is no whole number, nor is what is left where Blender renders each tenth frame.
@@ -107,32 +80,29 @@ class Video:
         fps = max(told.limit_denominator(SLOWEST), Fraction(1, SLOWEST))
         with ExitStack() as stack:
             sinks = []
-            if self.out is not None:
-                sinks.append(stack.enter_context(video_writer(self.out, fps)))
-            if self.frames is not None:
-                sink = frames_writer(writable_folder(self.frames), len(frames))
+            for out in self.out:
+                if is_folder(out):
+                    sink = frames_writer(writable_folder(out), len(frames))
+                else:
+                    sink = video_writer(out, fps)
                 sinks.append(stack.enter_context(sink))
             show = stack.enter_context(progress("video", "frame", self.json))
             for done, picture in enumerate(pictures(run.method, frames), 1):
                 for sink in sinks:
                     sink(picture)
                 show(done, len(frames), "")
-        wrote = " and ".join(str(path) for path in (self.out, self.frames) if path is not None)
-        say(f"wrote {wrote}: {len(frames)} frames")
-        return {"out": str(self.out or self.frames), "frames": len(frames)}
+        say(f"wrote {' and '.join(map(str, self.out))}: {len(frames)} frames")
+        return {"out": str(self.out[0]), "frames": len(frames)}
 
     def _check(self) -> None:
-        if self.out is None and self.frames is None:
-            raise BadValueError(
-                "there is nowhere to write to", "Give --out VIDEO.mp4, --frames FOLDER or both."
-            )
-        if self.out is not None:
-            require_suffix(self.out)
+        for out in self.out:
+            if not is_folder(out):
+                require_suffix(out)
         if not (0.0 < self.seconds < 3600.0) or not 1 <= self.fps <= 240:
             raise BadValueError(
                 f"--seconds {self.seconds:g} at --fps {self.fps}", "Seconds: up to an hour; fps: 1 to 240."
             )
-        if self.shots is None and self._count < 2:
+        if self.camera is None and self._count < 2:
             raise BadValueError(
                 f"--seconds {self.seconds:g} at --fps {self.fps} is too short: a video needs 2 frames",
                 "Raise one of them.",
@@ -151,16 +121,14 @@ class Video:
             for number, end in enumerate(self.sweep_range):
                 is_level = self.sweep == "lighting" or number >= 2
                 (LEVEL if is_level else EXPOSURE).check(end, "an end of --sweep-range")
-        if self.shots is None and (given := given_of(self, "camera_prim", "camera_space")):
-            raise BadValueError(f"--{given[0]} only works with --shots FILE", "Leave it out, or give a file.")
-        if self.shots is not None and (self.path is not None or self.sweep != "none" or self.lighting_levels):
+        self.require_file()
+        if self.camera is not None and (given := given_of(self, *OF_A_PATH)):
             raise BadValueError(
-                "--shots has every frame's camera and light",
-                "Leave --path, --sweep and --lighting-levels out.",
+                f"--{given[0]}: --camera has every frame's camera, light and time", "Leave it out."
             )
-        if self.shots is not None and (given := given_of(self, "seconds", "fps")):
-            raise BadValueError(f"--{given[0]}: --shots has every frame and its time", "Leave it out.")
-        if self.view is not None and (self.shots is not None or self._path != "still"):
+        if not self.lighting_level >= 0.0:
+            raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
+        if self.view is not None and (self.camera is not None or self._path != "still"):
             raise BadValueError(
                 "--view is where a still camera stands, and this one moves",
                 "Leave it out, or take --path still and a --sweep.",
@@ -180,9 +148,7 @@ class Video:
 
     def shots_of(self, scene: Scene) -> Shots | None:
         """The file's frames in the scene's world; None without a file."""
-        if self.shots is None:
-            return None
-        return shots_in(scene, self.shots, self.camera_prim, self.camera_space, fewest=2)
+        return None if self.camera is None else self.shots(scene, self.camera, fewest=2)
 
     def plan(self, scene: Scene, method: Renderer, shots: Shots | None = None) -> list[Frame]:
         """Every frame, of ``shots`` where there are any.
@@ -210,7 +176,7 @@ class Video:
             cameras = (spline_path if self._path == "spline" else orbit_path)(standing, count)
         if self.width is not None:
             cameras = [camera.resized(self.width) for camera in cameras]
-        levels = levels_asked(1.0, self.lighting_levels, method.lights)
+        levels = levels_asked(self.lighting_level, self.lighting_levels, method.lights)
         times, lit = [exposure] * count, [levels] * count
         ends: tuple[float, ...] = self.sweep_range or ()
         low, high = ends[:2] or (LIGHT_RANGE if self.sweep == "lighting" else (exposures[0], exposures[-1]))

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr export --web``: a trained run, or a model file, as a web page."""
+"""``physhdr export RUN OUT.html``, or ``--web``: a trained run, or a model file, as a web page."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from ...bridge.gaussian_import import upright
 from ...bridge.model_file import Model, read_model
 from ...bridge.ply_model import read_ply_model
 from ..evaluate.sheets import as_picture
-from ..export.web_page import WebPage, WebView, check_out, write_web_page
+from ..export.web_page import WebPage, WebView, write_web_page
 from ..runs.run import Run, open_run
 from ..scene import Scene, hdr_nerf_syn, nerf
-from .told import Told, answered, progress, saying
+from .exporting import PAGE, Exporting
+from .told import Told, progress, saying
 
 #: Pixels across of the picture that is seen while the page loads.
 POSTER_WIDTH = 960
@@ -26,18 +28,17 @@ OF_MODEL = 60
 OF_BLENDER = (hdr_nerf_syn.OURS, hdr_nerf_syn.NAME, nerf.NAME)
 
 
-def export_web(source: Path, out: Path, single_file: bool, data: Path | None, as_json: bool) -> int:
-    """Write the page of ``source``, a run's folder or a model file; the exit status.
+@dataclass(frozen=True, kw_only=True)
+class WebPageOf(Exporting):
+    """The web page of a run's folder or of a model file: one HTML file, or a folder."""
 
-    Raises what opening raises, and ``BadValueError`` and ``OutputError`` where ``out`` cannot be written.
-    """
-
-    def work() -> dict[str, Any]:
-        check_out(out, single_file)
-        with progress("web page", "percent", as_json) as show:
-            return _written(source, out, single_file, data, show, saying(as_json))
-
-    return answered(work, as_json)
+    def work(self) -> dict[str, Any]:
+        """Raises what opening raises, and ``BadValueError`` and ``OutputError``."""
+        if self.out is None:
+            raise BadValueError("--web does not say where the page goes", "Name a folder, or OUT.html.")
+        single_file = self.out.suffix.lower() in PAGE
+        with progress("web page", "percent", self.json) as show:
+            return _written(self.source, self.out, single_file, self.data, show, saying(self.json))
 
 
 def _written(

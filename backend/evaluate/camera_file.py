@@ -94,7 +94,7 @@ def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, fl
     if kind != "perspective":
         raise BadValueError(
             f"{path} is of the camera type {kind!r:.40}, and only perspective ones are drawn",
-            "Make the path with a perspective camera; panoramas are drawn by physhdr panorama.",
+            "Make the path with a perspective camera; panoramas are drawn by physhdr render --at.",
         )
     sides = []
     for key in ("render_width", "render_height"):

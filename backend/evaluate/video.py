@@ -50,7 +50,8 @@ def require_suffix(path: Path) -> None:
     if path.suffix.lower() not in (*CONTAINERS, ANIMATION):
         raise BadValueError(
             f"a video must end in {', '.join(CONTAINERS)} or {ANIMATION}, got {path.name}",
-            f"Take .mp4 for players, {ANIMATION} for a web page, or --frames for any other program.",
+            f"Take .mp4 for players, {ANIMATION} for a web page, or a folder, of numbered PNG files, for "
+            "any other program; .exr or .png for one picture.",
         )
 
 
@@ -82,7 +83,8 @@ def _h264_writer(path: Path, fps: Fraction) -> Iterator[FrameSink]:
                 encoder.finish()
         except av.FFmpegError as error:
             raise OutputError(
-                f"cannot encode {path}: {error}", "Check the disk's space, or write --frames instead."
+                f"cannot encode {path}: {error}",
+                "Check the disk's space, or write numbered pictures instead (--out FOLDER).",
             ) from error
 
 

@@ -27,7 +27,7 @@ from ...bridge import confidence, splatting
 from ...bridge import spherical_harmonics as sh
 from ...bridge.affine import quaternion_of
 from ...bridge.atomic import atomic_path
-from ...bridge.errors import BadValueError, OutputError
+from ...bridge.errors import OutputError
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import Model
 from ...bridge.regular import without_waiting
@@ -145,7 +145,7 @@ def write_web_page(
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(
-                f"cannot make {out}: {error.strerror or error}", "Choose another --web."
+                f"cannot make {out}: {error.strerror or error}", "Choose another place."
             ) from error
         viewer_file = VIEWER_FILE.format(hash=hash_of(viewer()))
         beside = dict(zip([*names, viewer_file], [*scripts, viewer()], strict=True))
@@ -215,11 +215,11 @@ def refuse_what_is_not_ours(target: Path) -> None:
         return
     except OSError as error:
         raise OutputError(
-            f"cannot look at {target}: {error.strerror or error}", "Choose another --web."
+            f"cannot look at {target}: {error.strerror or error}", "Choose another place."
         ) from error
     if not is_ours:
         raise OutputError(
-            f"{target} is there, and PhysHDR did not write it", "Choose another --web, or move it away."
+            f"{target} is there, and PhysHDR did not write it", "Choose another place, or move it away."
         )
 
 
@@ -247,7 +247,7 @@ def remove_web_page(folder: Path) -> None:
     except OSError as error:
         raise OutputError(
             f"cannot remove {target}: {error.strerror or error}",
-            "Close the program that has it open, or choose another --web.",
+            "Close the program that has it open, or choose another place.",
         ) from error
     _remove(folder / name for name in beside)
     with contextlib.suppress(OSError):  # somebody's files are in it
@@ -301,7 +301,7 @@ def _remove(paths: Iterable[Path]) -> None:
 
 def _write(path: Path, text: str, check: Callable[[Path], None] | None = None) -> int:
     content = text.encode()
-    with atomic_path(path, remedy="Choose another --web, or make room.", check=check) as temporary:
+    with atomic_path(path, remedy="Choose another place, or make room.", check=check) as temporary:
         temporary.write_bytes(content)
     return len(content)
 
@@ -396,14 +396,3 @@ def _confidence(model: Model) -> dict[str, Any] | None:
     if model.confidence is None:
         return None
     return {"ramp": np.round(confidence.RAMP, 4).tolist(), "meaning": confidence.MEANING}
-
-
-def check_out(out: Path, single_file: bool) -> None:
-    """Raises ``BadValueError`` where the name does not fit what is to be written."""
-    is_html = out.suffix.lower() in (".html", ".htm")
-    if single_file and not is_html:
-        raise BadValueError(
-            f"--web {out} is no HTML file", "With --single-file give a name such as scene.html."
-        )
-    if not single_file and is_html:
-        raise BadValueError(f"--web {out} would be a folder", "Add --single-file, or give a folder's name.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What ``physhdr convert`` writes, a row a format: the suffix decides. What it reads stands in
+"""What ``physhdr export`` writes, a row a format: the suffix decides. What it reads stands in
 ``bridge/splat_files/reading.py``, where each format is known by its first bytes.
 """
 

@@ -18,7 +18,7 @@ from .usable import left_out_note, only_usable
 #: Bytes that tell a format, and what a zip begins with.
 _START, ZIP = 128, b"PK\3\4"
 #: What a user does with a format that needs the backend.
-CONVERT = "Convert it with the trainer's command line: physhdr convert IN OUT.ply"
+CONVERT = "Convert it with the trainer's command line: physhdr export IN OUT.ply"
 
 
 def _read_ply(path: Path) -> SplatCloud:

@@ -372,7 +372,7 @@ def _zstd(doing: str) -> _Zstd:
         except ImportError:
             continue
     verb, remedy = {
-        "read": ("read", "Convert it where it is: physhdr convert IN OUT.ply"),
+        "read": ("read", "Convert it where it is: physhdr export IN OUT.ply"),
         "write": ("written", "Write version 3, or install it: pip install zstandard"),
     }[doing]
     raise BadValueError(

@@ -256,8 +256,8 @@ class Table:
         out = self.scratch / name
         if out.suffix == ".usdc":
             wanted("pxr", "usd-core")
-        if physhdr(["convert", str(source), str(out), *options]):
-            raise SystemExit(f"physhdr convert {source} {out} failed")
+        if physhdr(["export", str(source), str(out), *options]):
+            raise SystemExit(f"physhdr export {source} {out} failed")
         return out
 
     def compare(self, title: str, program: str, path: Path, what: str, up: Up | None = None) -> None:

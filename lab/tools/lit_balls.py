@@ -5,7 +5,7 @@ them.
     .venvs/run-blender lab/tools/lit_balls.py -- photograph interior --out DATA
     .venvs/run-blender lab/tools/lit_balls.py -- truth interior --out BALLS
     .venvs/run-blender lab/tools/lit_balls.py -- lit BALLS
-    physhdr panorama runs/demo --at -0.1 -0.7 1.2 --out PROBE
+    physhdr render runs/demo --at -0.1 -0.7 1.2 --out PROBE
     .venvs/run-blender lab/tools/lit_balls.py -- lit BALLS --model runs/demo/model.safetensors \\
         --probe PROBE --name demo
     .venvs/backend/bin/python lab/tools/lit_balls_sheet.py BALLS --image docs/images/lit_balls.jpg
@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     alone = steps.add_parser("lit", help="render the balls alone, lit by a panorama")
     alone.add_argument("balls", type=Path)
     alone.add_argument("--model", type=Path, help="a trained model: its own light, not the true panorama's")
-    alone.add_argument("--probe", type=Path, help="what physhdr panorama drew of it at the balls' place")
+    alone.add_argument("--probe", type=Path, help="what physhdr render --at drew of it at the balls' place")
     alone.add_argument("--name", default="demo", help="what the pictures with --model are called")
     alone.add_argument("--samples", type=int, default=256)
     alone.set_defaults(step=lit)

@@ -249,7 +249,7 @@ def test_other_programs_files_stand_upright(registered, files, name, up):
 def test_a_format_that_is_not_read_here_says_how_to_convert_it(registered, tmp_path):
     for name in ("a.sog", "a.glb", "a.usdc"):
         (tmp_path / name).write_bytes(b"PK\3\4" if name == "a.sog" else b"{}")
-        with pytest.raises(RuntimeError, match=r"is not read here[\s\S]*physhdr convert IN OUT\.ply"):
+        with pytest.raises(RuntimeError, match=r"is not read here[\s\S]*physhdr export IN OUT\.ply"):
             bpy.ops.physhdr.model_import(filepath=str(tmp_path / name))
     assert len(bpy.data.objects) == 0
 
@@ -260,7 +260,7 @@ def test_spz_4_is_read_or_says_what_is_missing(registered, files):
     if sys.version_info >= (3, 14) or importlib.util.find_spec("zstandard"):
         assert bpy.ops.physhdr.model_import(filepath=path) == {"FINISHED"}
     else:
-        with pytest.raises(RuntimeError, match=r"zstd[\s\S]*physhdr convert"):
+        with pytest.raises(RuntimeError, match=r"zstd[\s\S]*physhdr export"):
             bpy.ops.physhdr.model_import(filepath=path)
 
 

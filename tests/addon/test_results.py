@@ -47,8 +47,8 @@ if words[0] == "evaluate":
     (pathlib.Path(words[1]) / "evaluation.json").write_text(json.dumps(content))
     say(result={"folder": words[1], "split": "test"})
 elif words[0] == "export":
-    out = pathlib.Path(words[3])
-    out = out if "--single-file" in words else out / "index.html"
+    out = pathlib.Path(words[2])
+    out = out / "index.html" if "--web" in words else out
     out.parent.mkdir(exist_ok=True)
     out.write_text("page")
     say(result={"out": str(out)})
@@ -276,7 +276,7 @@ def test_a_video_follows_the_scenes_camera_its_lens_and_the_sliders(extension, r
     assert bpy.context.scene.frame_current == 2, "the scene is as it was"
     [call] = calls(tmp_path)
     shots = Path(bpy.app.tempdir) / operators.SHOTS_FILE
-    assert call == ["video", str(run), "--out", str(run / "video.webp"), "--shots", str(shots), "--json"]
+    assert call == ["render", str(run), "--out", str(run / "video.webp"), "--camera", str(shots), "--json"]
     assert operators.made_of(str(run)) == str(run / "video.webp")
     found = read_shots(shots)
     assert (found.width, found.height, found.fps, len(found.frames)) == (100, 50, 24.0, 3)
@@ -340,8 +340,7 @@ def test_a_video_is_written_where_it_was_said(extension, run, tmp_path, format, 
     camera_that_moves()
     operator = bpy.ops.physhdr.results_video
     assert operator(format=format, filepath=str(tmp_path / given)) == {"FINISHED"}
-    option = "--frames" if format == "PNG" else "--out"
-    assert calls(tmp_path)[-1][2:4] == [option, str(tmp_path / written)]
+    assert calls(tmp_path)[-1][2:4] == ["--out", str(tmp_path / written)]
     with pytest.raises(RuntimeError, match="is not saved yet"):  # else it were the root of the disk
         operator(format=format, filepath=f"//{given}")
 
@@ -359,7 +358,7 @@ def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_p
     set_input(find_modifier(target), LIGHTING_LEVEL, 0.25)
     camera_that_moves()
     assert bpy.ops.physhdr.results_video(format="PNG") == {"FINISHED"}
-    assert calls(tmp_path)[-1][2:4] == ["--frames", str(run / "video")]
+    assert calls(tmp_path)[-1][2:4] == ["--out", str(run / "video")]
     shot = read_shots(Path(bpy.app.tempdir) / operators.SHOTS_FILE).frames[0]
     np.testing.assert_allclose(shot.camera_to_world[:3, 3], ((1.0 - 10.0) / 2, -2.0, 0.5), atol=1e-6)
     np.testing.assert_allclose(shot.camera_to_world[:3, :3], np.eye(3), atol=1e-6)
@@ -402,7 +401,7 @@ def test_a_video_past_the_photographs_is_asked_of_the_trainer(extension, run, tm
     assert bpy.ops.physhdr.results_video(filepath=str(out), exposure=0.5, **options) == {"FINISHED"}
     told = ["--path", "orbit", "--sweep", "lighting", "--seconds", "2.5", "--fps", "25", "--width", "320"]
     assert calls(tmp_path) == [
-        ["video", str(run), "--out", f"{out}.mp4", *told, "--exposure", "0.5", "--json"]
+        ["render", str(run), "--out", f"{out}.mp4", *told, "--exposure", "0.5", "--json"]
     ]
 
 
@@ -447,13 +446,11 @@ def opened(monkeypatch) -> list[str]:
 def test_a_web_page_is_written_and_opens(extension, run, tmp_path, opened):
     assert operators.page_of(str(run)) == ""
     assert bpy.ops.physhdr.results_web() == {"FINISHED"}
-    assert calls(tmp_path) == [
-        ["export", str(run), "--web", str(run / "web.html"), "--single-file", "--json"]
-    ]
+    assert calls(tmp_path) == [["export", str(run), str(run / "web.html"), "--json"]]
     assert operators.page_of(str(run)) == str(run / "web.html")
     assert opened == [], "a script has no use for a browser"
     assert bpy.ops.physhdr.results_web(single_file=False, show=True) == {"FINISHED"}
-    assert calls(tmp_path)[-1] == ["export", str(run), "--web", str(run / "web"), "--json"]
+    assert calls(tmp_path)[-1] == ["export", str(run), str(run / "web"), "--web", "--json"]
     assert opened == [(run / "web" / "index.html").as_uri()]
     assert operators.page_of(str(run)) == str(run / "web" / "index.html")
 

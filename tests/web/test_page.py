@@ -112,7 +112,7 @@ def two_lights(tiny_scene, tmp_path_factory) -> tuple[Path, Path]:
     top = tmp_path_factory.mktemp("two")
     data = tiny_scene.write_tiny_scene(top / "data", lights=("ambient", "pendant"))
     assert main(["train", str(data), "--out", str(top / "run"), "--iterations", "12"]) == 0
-    assert main(["export", str(top / "run"), "--web", str(top / "page")]) == 0
+    assert main(["export", str(top / "run"), str(top / "page"), "--web"]) == 0
     return top / "run", top / "page" / "index.html"
 
 
@@ -123,7 +123,7 @@ def test_what_a_page_cannot_show_is_said(tiny_scene, tmp_path, capsys):
         words = ["train", str(data), "--out", str(tmp_path / name), "--preset", name, "--iterations", "12"]
         assert main(words) == 0
         capsys.readouterr()
-        words = ["export", str(tmp_path / name), "--web", str(tmp_path / f"{name}.html"), "--single-file"]
+        words = ["export", str(tmp_path / name), str(tmp_path / f"{name}.html")]
         assert main(words) == 0
         told = " ".join(capsys.readouterr().out.split())
         assert (remark in told) if remark else ("curve" not in told)
@@ -136,7 +136,7 @@ def demo(tmp_path_factory) -> tuple[Path, Path]:
     if not (DEMO / "checkpoint.safetensors").is_file():
         pytest.skip("there is no runs/demo: make demo trains it")
     out = tmp_path_factory.mktemp("demo") / "demo.html"
-    assert main(["export", str(DEMO), "--web", str(out), "--single-file"]) == 0
+    assert main(["export", str(DEMO), str(out)]) == 0
     return DEMO, out
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Remedies of the trainer name what the panel has: who sees them in Blender has no command line."""
 
+from typing import Any
+
 import pytest
 
 from physhdr.addon.session.advice import problem_of
@@ -131,13 +133,14 @@ def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path)
             attempt()
         return ": ".join(said_of(task, refused.value.message, refused.value.hint))
 
-    short = Video(tmp_path, out=tmp_path / "video.webp", seconds=0.1, fps=1)
+    of: dict[str, Any] = {"source": tmp_path, "out": [tmp_path / "video.webp"]}
+    short = Video(**of, seconds=0.1, fps=1)
     assert told(VIDEO, short._check) == (
         "Length 0.1 at Frames a Second 1 is too short: a video needs 2 frames: Raise one of them."
     )
 
     def unchanging():
-        raise Video(tmp_path, path="orbit")._unchanging()
+        raise Video(**of, path="orbit")._unchanging()
 
     assert told(VIDEO, unchanging) == (
         "all frames would be the same: the training cameras are all in one place: "
@@ -145,12 +148,12 @@ def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path)
     )
 
     def one_exposure():
-        raise Video(tmp_path, sweep="exposure")._unchanging()
+        raise Video(**of, sweep="exposure")._unchanging()
 
     assert told(VIDEO, one_exposure).endswith("the data set has one exposure: Set Change to something else.")
     (page := tmp_path / "page.html").write_text("mine")
     assert told(WEB, lambda: web_page.refuse_what_is_not_ours(page)) == (
-        f"{page} is there, and PhysHDR did not write it: Choose another File, or move it away."
+        f"{page} is there, and PhysHDR did not write it: Choose another place, or move it away."
     )
 
 
@@ -164,7 +167,7 @@ def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path)
         ),
         (
             VIDEO,
-            "Check the disk's space, or write --frames instead.",
+            "Check the disk's space, or write numbered pictures instead (--out FOLDER).",
             "Check the disk's space, or set Format to Pictures.",
         ),
         (
@@ -172,7 +175,7 @@ def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path)
             "Lower --seconds, --fps or --width, or write an .mp4.",
             "Lower Length, Frames a Second or Width, or set Format to MP4.",
         ),
-        (WEB, "Choose another --web, or make room.", "Choose another File, or make room."),
+        (WEB, "Choose another --out, or make room.", "Choose another File, or make room."),
         (
             EVALUATE,
             "Choose another --out, or make it writable.",

@@ -63,17 +63,17 @@ def test_without_the_training_pictures_there_is_none(run, tiny_data, tmp_path, c
 
 def test_a_run_is_converted_with_it(run, tiny_data, tmp_path, capsys):
     """As it is exported; where the pictures have gone, its absence is told."""
-    assert main(["export", str(run), "--out", str(tmp_path), "--quick"]) == 0
+    assert main(["export", str(run), str(tmp_path), "--quick"]) == 0
     exported = read_model(tmp_path / "model.safetensors").confidence
     out = tmp_path / "converted.safetensors"
     capsys.readouterr()
-    assert main(["convert", str(run), str(out)]) == 0
+    assert main(["export", str(run), str(out)]) == 0
     assert "without confidence" not in capsys.readouterr().out
     converted = read_model(out).confidence
     assert converted is not None
     np.testing.assert_array_equal(converted, exported)
     moved = without_its_pictures(run, tiny_data, tmp_path)
-    assert main(["convert", str(moved), str(out)]) == 0
+    assert main(["export", str(moved), str(out)]) == 0
     assert "the model, without confidence" in " ".join(capsys.readouterr().out.split())
     assert read_model(out).confidence is None
 

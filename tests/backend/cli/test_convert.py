@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr convert``: each format's axes and colours against closed forms, and every kind of bad file."""
+"""``physhdr export``: each format's axes and colours against closed forms, and every kind of bad file."""
 
 import json
 import math
@@ -63,11 +63,11 @@ def model(tmp_path: Path) -> Path:
 
 
 def convert(*words: object) -> None:
-    assert main(["convert", *map(str, words)]) == 0
+    assert main(["export", *map(str, words)]) == 0
 
 
 def fails(capsys, *words: object) -> str:
-    assert main(["convert", *map(str, words)]) == 1
+    assert main(["export", *map(str, words)]) == 1
     told = capsys.readouterr().err
     assert told.startswith("error: ") and "Traceback" not in told
     return " ".join(told.split())
@@ -316,7 +316,7 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
     [line] = capsys.readouterr().out.splitlines()
     result = json.loads(line)["result"]
     assert result["gaussians"] == 40 and result["up"] == "y" and result["out"].endswith("a.glb")
-    assert main(["convert", str(model), str(model.with_name("a.xyz")), "--json"]) == 1
+    assert main(["export", str(model), str(model.with_name("a.xyz")), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "bad_value"
 
 

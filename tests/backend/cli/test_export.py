@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.export import Export
+from physhdr.backend.cli.run_files import RunFiles
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.model_file import photographed_ev, read_model
 from physhdr.bridge.splat_files import read_splat_file
@@ -29,7 +29,7 @@ def layouts():
 @pytest.mark.parametrize("exposure_ev", [2000.0, -31.0, float("inf"), float("nan")])
 def test_an_exposure_beyond_all_pictures_is_refused(tmp_path: Path, exposure_ev: float) -> None:
     with pytest.raises(BadValueError, match=r"EV[\s\S]*−30 to 30"):
-        Export(tmp_path, exposure_ev=exposure_ev).run()
+        RunFiles(source=tmp_path, exposure_ev=exposure_ev).work()
 
 
 @pytest.fixture(scope="module")
@@ -63,16 +63,16 @@ def colours(path: Path) -> np.ndarray:
 def test_files_for_viewers_are_as_bright_as_the_photographs(photographs: Path, tmp_path: Path) -> None:
     """Of their middle exposure: at the seconds that suit a render all would be white."""
     out, ev = tmp_path / "out", math.log2(1 / 60)
-    assert main(["export", str(photographs), "--quick", "--out", str(out)]) == 0
+    assert main(["export", str(photographs), str(out), "--quick"]) == 0
     model = read_model(out / "model.safetensors")
     assert model.developed_ev == photographed_ev(model.metadata) == pytest.approx(ev, abs=1e-3)
     for name, given in (("asked.ply", []), ("stated.ply", ["--exposure-ev", str(ev)])):
-        assert main(["convert", str(photographs), str(tmp_path / name), "--quick", *given]) == 0
-    assert main(["convert", str(out / "model.safetensors"), str(tmp_path / "file.ply")]) == 0
+        assert main(["export", str(photographs), str(tmp_path / name), "--quick", *given]) == 0
+    assert main(["export", str(out / "model.safetensors"), str(tmp_path / "file.ply")]) == 0
     expected = colours(tmp_path / "stated.ply")
     for path in (out / "baked.ply", out / "lossless.ply", tmp_path / "asked.ply", tmp_path / "file.ply"):
         np.testing.assert_allclose(colours(path), expected, atol=2e-3)
-    assert main(["convert", str(photographs), str(tmp_path / "2s.ply"), "--quick", "--exposure-ev", "1"]) == 0
+    assert main(["export", str(photographs), str(tmp_path / "2s.ply"), "--quick", "--exposure-ev", "1"]) == 0
     assert np.abs(colours(tmp_path / "2s.ply") - expected).mean() > 0.1
 
 
@@ -82,13 +82,13 @@ def test_somebodys_own_file_is_not_replaced(photographs: Path, tmp_path: Path, n
     (out := tmp_path / "out").mkdir()
     theirs = b"ply\nformat ascii 1.0\ncomment PhysHDRs friend\nelement vertex 0\nend_header\n"
     (out / name).write_bytes(theirs)
-    assert main(["export", str(photographs), "--quick", "--out", str(out)]) == 1
+    assert main(["export", str(photographs), str(out), "--quick"]) == 1
     said = capsys.readouterr().err
     assert f"{name} is there, and 'physhdr export' did not write it" in said and "--out" in said
     assert (out / name).read_bytes() == theirs and [path.name for path in out.iterdir()] == [name]
     (out / name).unlink()
     (out / name).mkdir()
-    assert main(["export", str(photographs), "--quick", "--out", str(out)]) == 1
+    assert main(["export", str(photographs), str(out), "--quick"]) == 1
     assert [path.name for path in out.iterdir()] == [name]
 
 
@@ -97,12 +97,12 @@ def test_nothing_of_an_earlier_export_stays_beside_the_new_model(
 ) -> None:
     """Neither where it is stopped while colours are fitted, nor where the new run has no lossless file."""
     out, both = tmp_path / "out", ["cameras.json", "model.safetensors"]
-    words = ["export", str(photographs), "--quick", "--out", str(out)]
+    words = ["export", str(photographs), str(out), "--quick"]
     for _ in range(2):
         assert main(words) == 0
         assert sorted(path.name for path in out.iterdir()) == ["baked.ply", both[0], "lossless.ply", both[1]]
     with monkeypatch.context() as patch:
-        patch.setattr("physhdr.backend.cli.export.Gaussians", int)  # as if the run had anchors
+        patch.setattr("physhdr.backend.cli.run_files.Gaussians", int)  # as if the run had anchors
         assert main(words) == 0
     assert "no lossless.ply" in capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == ["baked.ply", *both]
@@ -110,7 +110,7 @@ def test_nothing_of_an_earlier_export_stays_beside_the_new_model(
     def stopped(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("physhdr.backend.cli.export.fitted_colour_sh", stopped)
+    monkeypatch.setattr("physhdr.backend.cli.run_files.fitted_colour_sh", stopped)
     with pytest.raises(KeyboardInterrupt):
-        Export(photographs, out=out).run()
+        RunFiles(source=photographs, out=out).work()
     assert sorted(path.name for path in out.iterdir()) == both

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr convert`` fits display colours: to a run's pictures, or to a model's from given cameras."""
+"""``physhdr export`` fits display colours: to a run's pictures, or to a model's from given cameras."""
 
 import json
 
@@ -33,12 +33,12 @@ def test_a_run_a_model_with_its_cameras_and_the_export_agree(run, tiny_data, tmp
     sources = [[str(run)], [model, "--cameras", str(run)], [model, "--cameras", str(tiny_data)]]
     for index, (source, *cameras) in enumerate(sources):
         out = tmp_path / f"{index}.ply"
-        assert main(["convert", source, str(out), *cameras, *ev]) == 0
+        assert main(["export", source, str(out), *cameras, *ev]) == 0
         assert rms(seen(out) - expected) < 0.003
     quick = []
     for index, (source, *words) in enumerate([[str(run), "--quick"], [model]]):
         out = tmp_path / f"quick_{index}.ply"
-        assert main(["convert", source, str(out), *words, *ev]) == 0
+        assert main(["export", source, str(out), *words, *ev]) == 0
         quick.append(seen(out))
     assert rms(quick[0] - quick[1]) < 1e-6 and rms(quick[0] - expected) > 0.03
 
@@ -51,7 +51,7 @@ def test_a_program_is_told_how_far_it_is(run, tmp_path, capsys):
     capsys.readouterr()
     model = str(run / "model.safetensors")
     out = tmp_path / "a.ply"
-    assert main(["convert", model, str(out), "--cameras", str(run), "--tone", "srgb", "--json"]) == 0
+    assert main(["export", model, str(out), "--cameras", str(run), "--tone", "srgb", "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[-1]["result"]["gaussians"] > 60 and "fitted" in lines[-1]["result"]["told"]
     assert lines[-2]["progress"] == 1.0
@@ -68,10 +68,10 @@ def test_a_program_is_told_how_far_it_is(run, tmp_path, capsys):
 )
 def test_what_does_not_fit_is_refused(run, tmp_path, capsys, words, message):
     out, *options = [str(run) if word == "RUN" else word for word in words]
-    assert main(["convert", str(run / "model.safetensors"), str(tmp_path / out), *options]) == 1
+    assert main(["export", str(run / "model.safetensors"), str(tmp_path / out), *options]) == 1
     assert message in capsys.readouterr().err and not (tmp_path / out).exists()
 
 
 def test_a_run_has_its_own_cameras(run, tmp_path, capsys):
-    assert main(["convert", str(run), str(tmp_path / "a.ply"), "--cameras", str(run)]) == 1
+    assert main(["export", str(run), str(tmp_path / "a.ply"), "--cameras", str(run)]) == 1
     assert "a run has its own cameras" in capsys.readouterr().err

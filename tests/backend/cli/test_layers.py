@@ -63,7 +63,7 @@ def test_every_exr_of_radiance_says_its_space(run: Path, tmp_path: Path) -> None
     found = read_radiance(tmp_path / "a.exr").chromaticities
     assert found is not None and found.white == pytest.approx((0.3127, 0.3290))
     at = ["--at", "0", "-3", "0", "--width", "32"]
-    assert main(["panorama", str(run), *at, "--out", str(tmp_path / "probe")]) == 0
+    assert main(["render", str(run), *at, "--out", str(tmp_path / "probe")]) == 0
     for path in (tmp_path / "probe").glob("*.exr"):
         require_rec709(opened(path)[1])
     assert main(["render", str(run), "--out", str(tmp_path / "sure.exr"), "--confidence"]) == 0
@@ -188,8 +188,11 @@ def test_oiiotool_takes_a_light_out(tmp_path: Path) -> None:
     [
         (["--out", "a.png", "--layers"], "--layers are of radiance"),
         (["--out", "a.exr", "--layers", "--exposure", "2"], "--layers are of radiance"),
-        (["--out", "a.exr", "--layers", "--confidence"], "--layers changes nothing about --confidence"),
-        (["--out", "a", "--split", "test", "--layers"], "--layers is of one picture"),
+        (
+            ["--out", "a.exr", "--layers", "--confidence"],
+            "--layers has no effect on a picture of the confidence",
+        ),
+        (["--out", "a", "--split", "test", "--layers"], "--layers has no effect on all views of a --split"),
         (["--out", "a.exr", "--exposure", "2"], "--exposure changes nothing about a.exr, which is radiance"),
         (["--out", "a_#.exr", "--camera", "x.json", "--exposure", "2"], "--exposure changes nothing"),
         (["--out", "a.png", "--exposure", "inf"], "--exposure is inf s: it must be from"),

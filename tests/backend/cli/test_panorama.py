@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr panorama``: of runs and of model files, for people and for programs; what it refuses."""
+"""``physhdr render --at``: of runs and of model files, for people and for programs; what it refuses."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ def run(two_lights_data, tmp_path_factory) -> Path:
 
 def drawn(source: Path, out: Path, *more: str, width: int = WIDTH) -> Path:
     at = ("--at", "0.2", "-3.5", "0.1")
-    assert main(["panorama", str(source), *at, "--out", str(out), "--width", str(width), *more]) == 0
+    assert main(["render", str(source), *at, "--out", str(out), "--width", str(width), *more]) == 0
     return out
 
 
@@ -72,7 +72,7 @@ def test_lights_add_up_to_what_the_run_renders(run, tmp_path):
 
 def test_a_program_is_told_what_happens(run, tmp_path, capsys):
     places = ["--at", "0", "-3", "0", "--out", str(tmp_path / "a"), "--at", "1", "-3", "0", "--out"]
-    assert main(["panorama", str(run), *places, str(tmp_path / "b"), "--width", "32", "--json"]) == 0
+    assert main(["render", str(run), *places, str(tmp_path / "b"), "--width", "32", "--json"]) == 0
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     progress = [line["progress"] for line in told[:-1]]
     assert progress == sorted(progress) and progress[-1] == 1.0 and told[0]["message"] == "a"
@@ -107,14 +107,14 @@ def test_methods_tell_what_they_know_of_their_light(preset, lights, tiny_data, t
 )
 def test_what_cannot_be_drawn_is_refused_before_anything_is_written(run, tmp_path, capsys, change, told):
     out = tmp_path / "probe"
-    assert main(["panorama", str(run), "--at", "0", "0", "0", "--out", str(out), *change]) == 1
+    assert main(["render", str(run), "--at", "0", "0", "0", "--out", str(out), *change]) == 1
     assert told in capsys.readouterr().err and not out.exists()
 
 
 @pytest.mark.parametrize("option", [("--data", "x"), ("--device", "cpu")])
 def test_what_is_of_a_run_is_refused_of_a_model_file(tmp_path, capsys, option):
     words = ["--at", "0", "0", "0", "--out", str(tmp_path / "probe"), *option]
-    assert main(["panorama", "m.safetensors", *words]) == 1
+    assert main(["render", "m.safetensors", *words]) == 1
     assert f"{option[0]} only applies to a run, and m.safetensors is not a folder" in capsys.readouterr().err
 
 
@@ -133,6 +133,6 @@ def test_what_is_lost_of_another_programs_file_is_told_and_its_axes(tmp_path, ca
 
 def test_a_folder_of_other_things_stays_as_it_is(run, tmp_path, capsys):
     (tmp_path / "holiday.exr").write_bytes(b"mine")
-    assert main(["panorama", str(run), "--at", "0", "0", "0", "--out", str(tmp_path), "--json"]) == 1
+    assert main(["render", str(run), "--at", "0", "0", "0", "--out", str(tmp_path), "--json"]) == 1
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"]["code"] == "output"
     assert (tmp_path / "holiday.exr").read_bytes() == b"mine"

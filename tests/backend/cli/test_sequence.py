@@ -226,6 +226,6 @@ def test_a_video_takes_the_same_files(run: Path, tmp_path: Path) -> None:
     frames = [{"camera_to_world": np.eye(4).tolist(), "fov": 60.0} for _ in range(2)]
     content = {"render_width": 24, "render_height": 16, "fps": 24, "camera_path": frames}
     (tmp_path / "path.json").write_text(json.dumps(content))
-    words = ["--shots", str(tmp_path / "path.json"), "--frames", str(tmp_path / "video")]
-    assert main(["video", str(run), *words]) == 0
+    words = ["--camera", str(tmp_path / "path.json"), "--out", str(tmp_path / "video")]
+    assert main(["render", str(run), *words]) == 0
     assert Image.open(tmp_path / "video" / "frame_0001.png").size == (24, 16)

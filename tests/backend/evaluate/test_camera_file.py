@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from physhdr.backend.cli.render import shots_in
+from physhdr.backend.cli.rendering import shots_in
 from physhdr.backend.cli.video import Video
 from physhdr.backend.evaluate.camera_file import read_camera_file
 from physhdr.backend.evaluate.camera_path import camera_of
@@ -131,8 +131,8 @@ def test_what_ns_process_data_did_before_stays(tmp_path: Path) -> None:
 
 
 def filmed(scene: Scene, **options) -> list[Camera]:
-    """The cameras of ``physhdr video``'s frames."""
-    video = Video(Path("run"), out=Path("a.mp4"), **options)
+    """The cameras of a video's frames."""
+    video = Video(source=Path("run"), out=[Path("a.mp4")], **options)
     video._check()
     frames = video.plan(scene, SimpleNamespace(lights=("ambient",)), video.shots_of(scene))
     return [frame.camera for frame in frames]
@@ -155,7 +155,7 @@ def test_a_video_along_it_is_in_the_world_of_the_run(data_set: Path, tmp_path: P
     (tmp_path / "transforms.json").write_text(json.dumps(told))
     scene = replace(read_scene(data_set), layout="nerfstudio", root=tmp_path)
     drawn = shots_in(scene, file, None, space)
-    for k, camera in enumerate(filmed(scene, shots=file, camera_space=space)):
+    for k, camera in enumerate(filmed(scene, camera=file, camera_space=space)):
         np.testing.assert_allclose(camera.camera_to_world, pose(k), atol=1e-12)
         np.testing.assert_array_equal(camera.camera_to_world, drawn.frames[k].camera_to_world)
         assert (camera.width, camera.fx) == (drawn.width, drawn.frames[k].fx)
@@ -251,10 +251,10 @@ def test_a_video_takes_one_of_a_stages_cameras(data_set: Path, tmp_path: Path) -
     stage.GetRootLayer().Save()
     scene = read_scene(data_set)
     with pytest.raises(BadValueError, match="--camera-prim"):
-        filmed(scene, shots=tmp_path / "a.usda")
-    found = filmed(scene, shots=tmp_path / "a.usda", camera_prim="/rig/camera")
+        filmed(scene, camera=tmp_path / "a.usda")
+    found = filmed(scene, camera=tmp_path / "a.usda", camera_prim="/rig/camera")
     assert len({camera.camera_to_world.tobytes() for camera in found}) == 3
-    still = filmed(scene, shots=tmp_path / "a.usda", camera_prim="other")
+    still = filmed(scene, camera=tmp_path / "a.usda", camera_prim="other")
     assert len({camera.camera_to_world.tobytes() for camera in still}) == 1
 
 

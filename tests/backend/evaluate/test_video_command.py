@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What ``physhdr video`` would show, frame by frame."""
+"""What ``physhdr render`` of a video would show, frame by frame."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ class Grey(Renderer):
 
 
 def video(**options) -> Video:
-    return Video(Path("run"), out=Path("a.mp4"), seconds=1.0, fps=20, **options)
+    return Video(source=Path("run"), out=[Path("a.mp4")], seconds=1.0, fps=20, **options)
 
 
 def test_sweeps_go_there_and_back_in_even_stops() -> None:
@@ -149,8 +149,7 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"out": None}, "nowhere to write"),
-        ({"out": Path("a.gif")}, r"must end in .*\.webp, got a\.gif\n.*--frames"),
+        ({"out": [Path("a.gif")]}, r"must end in .*\.webp, got a\.gif\n.*a folder"),
         ({"fps": 0}, "--fps 0"),
         (
             {"seconds": 0.01, "sweep": "exposure"},
@@ -168,11 +167,11 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
         ({"sweep": "both", "sweep_range": (1.0, 2.0)}, r"1 2 with --sweep both[\s\S]*four"),
         ({"sweep": "exposure", "sweep_range": (1.0, 2.0, 1.0, 2.0)}, "1 2 1 2 with --sweep exposure"),
         ({"light": "lamp"}, "--light names what"),
-        ({"camera_prim": "camera"}, "--camera-prim only works with --shots"),
-        ({"camera_space": Path("d.json")}, "--camera-space only works with --shots"),
-        ({"shots": Path("s.json"), "seconds": 2.0}, "--seconds: --shots has"),
-        ({"shots": Path("s.json"), "fps": 12}, "--fps: --shots has"),
-        ({"shots": Path("s.json"), "view": "test/1"}, "--view is where a still camera stands"),
+        ({"camera_prim": "camera"}, "--camera-prim only works with --camera"),
+        ({"camera_space": Path("d.json")}, "--camera-space only works with --camera"),
+        ({"camera": Path("s.json"), "seconds": 2.0}, "--seconds: --camera has"),
+        ({"camera": Path("s.json"), "fps": 12}, "--fps: --camera has"),
+        ({"camera": Path("s.json"), "view": "test/1"}, "--view is where a still camera stands"),
         ({"path": "orbit", "sweep": "exposure", "view": "test/1"}, "--view is where a still camera stands"),
         ({"view": "test/1"}, "--view is where a still camera stands"),
     ],
@@ -180,4 +179,4 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
 def test_options_that_mean_nothing(options, message) -> None:
     """Said before the run is opened."""
     with pytest.raises(BadValueError, match=message):
-        Video(**({"folder": Path("none"), "out": Path("a.mp4")} | options)).run()
+        Video(**({"source": Path("none"), "out": [Path("a.mp4")]} | options)).work()

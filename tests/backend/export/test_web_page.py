@@ -164,7 +164,7 @@ def test_another_programs_ply_stands_upright_and_its_notes_are_told(tmp_path, mo
     (tmp_path / "a.ply").write_bytes(spoiled[:-4] + np.float32(np.nan).tobytes())
     pages = []
     monkeypatch.setattr(web, "write_web_page", lambda *given: pages.append(given) or write_web_page(*given))
-    assert main(["export", str(tmp_path / "a.ply"), "--web", str(tmp_path / "site")]) == 0
+    assert main(["export", str(tmp_path / "a.ply"), str(tmp_path / "site"), "--web"]) == 0
     _, model, page, *_ = pages[0]
     expected = np.zeros((19, 3))
     expected[:, 2] = np.linspace(10.0, 0.0, 20)[:-1]
@@ -307,12 +307,11 @@ def test_what_is_no_file_is_not_replaced(tmp_path, never_waits, kind):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--web", "out.html"), "single-file"),
-        (("--web", "out", "--single-file"), "no HTML file"),
-        (("--single-file",), "Add --web"),
-        (("--web", "out", "--exposure-ev", "2"), "--exposure-ev"),
-        (("--web", "out", "--lighting-levels", "ambient=2"), "--lighting-levels"),
-        (("--web", "out", "--data", "x"), "--data"),
+        (("--web",), "does not say where"),
+        ((), "nothing says what to make of it"),
+        (("out.html", "--exposure-ev", "2"), "--exposure-ev has no effect on a web page"),
+        (("out", "--web", "--lighting-levels", "ambient=2"), "--lighting-levels"),
+        (("out", "--web", "--data", "x"), "--data"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(tmp_path, monkeypatch, capsys, words, message):
@@ -329,7 +328,7 @@ def test_damaged_models_are_refused(tmp_path, capsys):
     content = bytearray(file.read_bytes())
     content[-4:] = np.float32("nan").tobytes()
     file.write_bytes(content)
-    assert main(["export", str(file), "--web", str(tmp_path / "out")]) == 1
+    assert main(["export", str(file), str(tmp_path / "out"), "--web"]) == 1
     assert "NaN" in capsys.readouterr().err
     with pytest.raises(BadValueError, match="no Gaussians"):
         some_model(count=0)
@@ -339,11 +338,11 @@ def test_damaged_models_are_refused(tmp_path, capsys):
 def test_a_program_is_told_json(tmp_path, capsys):
     file = tmp_path / "m.safetensors"
     write_model(file, some_model(count=4))
-    assert main(["export", str(file), "--web", str(tmp_path / "out"), "--json"]) == 0
+    assert main(["export", str(file), str(tmp_path / "out"), "--web", "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[-1]["result"]["out"] == str(tmp_path / "out" / "index.html")
     assert lines[-2]["progress"] == 1.0
-    assert main(["export", str(tmp_path / "no.safetensors"), "--web", str(tmp_path / "out"), "--json"]) == 1
+    assert main(["export", str(tmp_path / "no.safetensors"), str(tmp_path / "out"), "--web", "--json"]) == 1
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"]["code"] == "file_missing"
 
 

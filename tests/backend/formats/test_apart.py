@@ -49,7 +49,7 @@ def test_a_stage_that_crashes_openusd_is_refused(capfd) -> None:
     """The command lives, and answers as it does otherwise."""
     with pytest.raises(FileDamagedError, match=r"crash\.usdc .*OpenUSD crash|not a readable USD file"):
         read_usd(CRASH)
-    assert main(["convert", str(CRASH), "never.ply", "--json"]) == 1
+    assert main(["export", str(CRASH), "never.ply", "--json"]) == 1
     said = capfd.readouterr()
     assert json.loads(said.out)["error"]["code"] == "file_damaged" and said.err == ""
     assert not Path("never.ply").exists()

@@ -59,7 +59,7 @@ def trained(tiny_data, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "run"
     assert main(["train", str(tiny_data), "--out", str(run), *SHORT]) == 0
     assert main(["evaluate", str(run), "--confidence"]) == 0 and main(["export", str(run)]) == 0
-    assert main(["export", str(run), "--web", str(run / "web")]) == 0
+    assert main(["export", str(run), str(run / "web"), "--web"]) == 0
     return run
 
 

@@ -121,4 +121,4 @@ def test_another_programs_cameras_stay(run, tmp_path, capsys):
     assert main(["export", str(run)]) == 1
     assert f"{run / CAMERAS_FILE} is there, and PhysHDR did not write it" in capsys.readouterr().err
     assert (run / CAMERAS_FILE).read_text() == "[1]" and not (run / "model.safetensors").exists()
-    assert main(["export", str(run), "--out", str(tmp_path / "out")]) == 0
+    assert main(["export", str(run), str(tmp_path / "out")]) == 0

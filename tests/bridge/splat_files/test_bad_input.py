@@ -108,7 +108,7 @@ def test_a_picture_with_the_wrong_suffix(tmp_path: Path, name: str) -> None:
 def test_what_needs_the_backend_says_how(tmp_path: Path, name: str, start: bytes, called: str) -> None:
     (tmp_path / name).write_bytes(start)
     for read in (read_splat_file, read_gaussians):
-        with pytest.raises(BadValueError, match=rf"{called} is not read here\n.*physhdr convert IN OUT.ply"):
+        with pytest.raises(BadValueError, match=rf"{called} is not read here\n.*physhdr export IN OUT.ply"):
             read(tmp_path / name)
 
 
@@ -136,7 +136,7 @@ def test_version_4_without_zstd(files: Path, monkeypatch: pytest.MonkeyPatch) ->
         raise ImportError(name)
 
     monkeypatch.setattr(spz.importlib, "import_module", missing)
-    with pytest.raises(BadValueError, match=r"zstd, without which it cannot be read.*\n.*physhdr convert"):
+    with pytest.raises(BadValueError, match=r"zstd, without which it cannot be read.*\n.*physhdr export"):
         read_splat_file(files / "version-4.spz")
 
 

@@ -215,7 +215,7 @@ def write_usds(folder: Path) -> None:
 
 
 def read_gaussians(folder: Path, file: str, _: bytes) -> None:
-    """As ``physhdr convert`` reads them, and as a model of ours."""
+    """As ``physhdr export`` reads them, and as a model of ours."""
     from physhdr.backend.cli.convert import read_source
     from physhdr.bridge.ply_model import model_of_cloud
     from physhdr.bridge.splat_files import turned

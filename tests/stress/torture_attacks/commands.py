@@ -90,7 +90,7 @@ class Changes:
 
 def export(bench: Bench) -> Command:
     run = bench.material.run
-    return Command("export", lambda out: bench.physhdr("export", run, "--out", out))
+    return Command("export", lambda out: bench.physhdr("export", run, out))
 
 
 def evaluate(bench: Bench) -> Command:
@@ -106,7 +106,7 @@ def video(bench: Bench) -> Command:
 
     def start(out: Path) -> Program:
         out.mkdir(parents=True, exist_ok=True)
-        return bench.physhdr("video", run, "--out", out / "video.mp4", "--frames", out / "frames", *frames)
+        return bench.physhdr("render", run, "--out", out / "video.mp4", "--out", out / "frames", *frames)
 
     # The encoder's threads may round differently; its frames are compared as pictures, beside it.
     return Command("video", start, varying=("*.mp4",))

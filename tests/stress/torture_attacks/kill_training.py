@@ -396,7 +396,7 @@ def _judge_overwritten(bench: Bench, run: Path, old: Path, new: Path) -> list[st
     )
     may_open = twin is not None and (run / CHECKPOINT).exists() and (twin is old or not is_old_weights)
     complaints = []
-    exported = bench.physhdr("export", run, "--out", bench.empty("exported"))
+    exported = bench.physhdr("export", run, bench.empty("exported"))
     status = exported.wait(PATIENCE)
     if may_open:
         complaints += bench.done(exported)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all kinds of ``physhdr render`` share: options, the cameras that they name."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ...bridge.errors import BadValueError
+from ...bridge.shots import Shots
+from ..device import DeviceName
+from ..evaluate.camera_file import read_camera_file
+from ..rasterize import Implementation
+from ..scene import Camera, Scene, nerfstudio
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """What is rendered, by what, and where it goes."""
+
+    #: Folder of the run; with --at also a model file that was exported (.safetensors, .ply).
+    source: tyro.conf.Positional[Path]
+    #: What to write: .exr (scene-linear radiance) or .png (through the learned response); a video (.mp4, .mov
+    #: and .mkv need the package av; web pages loop .webp); or a folder: of a video's frames (PNG), of
+    #: all views (--split), of the light at a place (--at). A video and a folder may both be named.
+    out: Annotated[list[Path], tyro.conf.UseAppendAction]
+    #: Width in pixels (the height follows); default: the data set's, or that of --camera; of --at a power of
+    #: two, by default 1024.
+    width: int | None = None
+    #: The data set, where it has moved since training.
+    data: Path | None = None
+    rasteriser: Implementation = "auto"
+    device: DeviceName = "auto"
+    #: Say how far it is, and the result or the error, as JSON, an object a line.
+    json: bool = False
+
+    @property
+    def only_out(self) -> Path:
+        """Of a kind that writes one thing; raises ``BadValueError`` for several."""
+        if len(self.out) != 1:
+            raise BadValueError(f"one thing is written, and there are {len(self.out)} --out", "Give one.")
+        return self.out[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """From where: one camera of the data set, or a file of cameras, a frame each."""
+
+    #: Which camera: SPLIT/POSE; default: the first test view.
+    view: str | None = None
+    #: A file of cameras instead: Blender's panel's (docs/formats.md), whose stops of exposure, levels and
+    #: frames a second count, too; a path of nerfstudio's viewer (JSON), or a USD camera. Of one camera it is
+    #: a picture, of several frames/name_####.exr (or .png), a folder, or a video.
+    camera: Path | None = None
+    #: Which of a USD file's cameras, by its path or name; it may have one alone.
+    camera_prim: str | None = None
+    #: dataparser_transforms.json of the nerfstudio training whose viewer made the path: its world is another.
+    camera_space: Path | None = None
+
+    def require_file(self) -> None:
+        """Raises ``BadValueError`` for options of --camera without it."""
+        for name in ("camera_prim", "camera_space"):
+            if self.camera is None and getattr(self, name) is not None:
+                raise BadValueError(
+                    f"--{name.replace('_', '-')} only works with --camera FILE",
+                    "Leave it out, or give a file.",
+                )
+
+    def shots(self, scene: Scene, file: Path, fewest: int = 1) -> Shots:
+        """The frames of the ``file`` of cameras in the scene's world; errors as ``read_camera_file``."""
+        return shots_in(scene, file, self.camera_prim, self.camera_space, fewest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookOptions:
+    """In what light, and how it is exposed."""
+
+    #: Seconds; not of .exr. Default: the middle exposure of the data set.
+    exposure: float | None = None
+    #: The first light, which is the ambient one wherever that has levels, relative to the standard views.
+    lighting_level: float = 1.0
+    #: Lights by name: NAME=VALUE …; those not named are at 1.
+    lighting_levels: tuple[str, ...] = ()
+
+
+def camera_named(scene: Scene, name: str | None) -> Camera:
+    """The camera of ``test/3``, ``train/0`` or ``lit/2``; None: the first test view, or training view.
+
+    Raises ``BadValueError`` naming what there is.
+    """
+    if name is None:
+        return (scene.test or scene.train)[0].camera
+    split, slash, index = name.partition("/")
+    index = index.removeprefix("r_")
+    if not slash or not index.isdigit():
+        raise BadValueError(
+            f"--view must be like test/3, got '{name}'", "SPLIT/POSE, split train, test or lit."
+        )
+    return scene.find(split, int(index)).camera
+
+
+def shots_in(scene: Scene, file: Path, prim: str | None, space: Path | None, fewest: int = 1) -> Shots:
+    """The frames of a file of cameras in the scene's world; arguments and errors as ``read_camera_file``."""
+    poses = scene.root / nerfstudio.LOOKS_FOR if scene.layout == nerfstudio.NAME else None
+    return read_camera_file(file, camera_named(scene, None), prim, space, fewest, poses)
