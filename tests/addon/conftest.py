@@ -99,20 +99,21 @@ def keep_trees(patch: pytest.MonkeyPatch, folder: Path) -> None:
     from physhdr.addon.model.nodes import MARK
 
     build = radiance_tree.radiance_tree
-    kept: dict[tuple, tuple[str, str, str]] = {}
+    kept: dict[tuple, tuple[str, str]] = {}
 
     @functools.wraps(build)
     def from_file(degree, levels, curve, lights):
         key = (degree, levels, curve and curve.digest, lights)
-        path, name, mark = kept.get(key, ("", "", ""))
-        if path and not any(tree.get(MARK) == mark for tree in bpy.data.node_groups if not tree.library):
+        path, name = kept.get(key, ("", ""))
+        # Beside another, materials are shared, and a library's tree is not the file's own: both are built.
+        if path and not any(MARK in tree for tree in bpy.data.node_groups):
             with bpy.data.libraries.load(path) as (_, wanted):
                 wanted.node_groups = [name]
         tree = build(degree, levels, curve, lights)  # finds what was appended
         if not path:
             path = str(folder / f"{len(kept)}.blend")
             bpy.data.libraries.write(path, {tree})
-            kept[key] = path, tree.name, tree[MARK]
+            kept[key] = path, tree.name
         return tree
 
     patch.setattr(radiance_tree, "radiance_tree", from_file)

@@ -77,9 +77,7 @@ def test_undo_and_redo_of_an_import_and_of_a_slider(registered, make_model, writ
         )
 
 
-def test_linked_from_a_library_it_renders_and_imports_go_on(
-    trees_built, registered, make_model, write, tmp_path
-):
+def test_linked_from_a_library_it_renders_and_imports_go_on(registered, make_model, write, tmp_path):
     model = make_model()
     name = add_fixed(model, write).name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
@@ -100,9 +98,7 @@ def test_linked_from_a_library_it_renders_and_imports_go_on(
     np.testing.assert_allclose(radiance(override), 2.0 * constant(model), rtol=1e-5)
 
 
-def test_appended_by_a_script_next_to_its_like_it_is_independent(
-    trees_built, registered, make_model, write, tmp_path
-):
+def test_appended_by_a_script_next_to_its_like_it_is_independent(registered, make_model, write, tmp_path):
     model = make_model()
     name = add_fixed(model, write).name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
