@@ -482,7 +482,7 @@ def test_a_web_page_opens_once_it_is_there(extension, run, tmp_path, opened, mon
 def test_a_web_page_is_written_where_it_was_said(extension, run, tmp_path, single, given, written):
     done = bpy.ops.physhdr.results_web(single_file=single, filepath=str(tmp_path / given))
     assert done == {"FINISHED"}
-    assert calls(tmp_path)[-1][3] == str(tmp_path / written)
+    assert calls(tmp_path)[-1][2] == str(tmp_path / written)
 
 
 def test_a_light_whose_name_begins_with_a_dash_is_not_taken_for_an_option() -> None:

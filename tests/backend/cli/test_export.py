@@ -84,7 +84,7 @@ def test_somebodys_own_file_is_not_replaced(photographs: Path, tmp_path: Path, n
     (out / name).write_bytes(theirs)
     assert main(["export", str(photographs), str(out), "--quick"]) == 1
     said = capsys.readouterr().err
-    assert f"{name} is there, and 'physhdr export' did not write it" in said and "--out" in said
+    assert f"{name} is there, and 'physhdr export' did not write it" in said and "another folder" in said
     assert (out / name).read_bytes() == theirs and [path.name for path in out.iterdir()] == [name]
     (out / name).unlink()
     (out / name).mkdir()
