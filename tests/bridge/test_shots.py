@@ -33,7 +33,7 @@ def test_it_comes_back_to_the_last_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        (lambda c: c.update(format="other"), FileDamagedError, "no physhdr-shots"),
+        (lambda c: c.update(format="other"), FileDamagedError, "not a physhdr-shots"),
         (lambda c: c.update(w=0), BadValueError, "w, h and fps"),
         (lambda c: c.update(fps=1000.0), BadValueError, "fps"),
         (lambda c: c.update(frames=[]), BadValueError, "from 2 to"),
