@@ -211,7 +211,7 @@ def test_what_does_not_go_together(trained, tiny_data, words, said, capsys) -> N
 def test_all_views_are_rendered_as_they_are_evaluated(trained, tiny_data, tmp_path, capsys) -> None:
     render = ["render", str(trained), "--split", "test", "--out"]
     assert main([*render, str(tmp_path / "a"), "--view", "test/0"]) == 1
-    assert "--view is of one picture" in capsys.readouterr().err
+    assert "--view has no effect on all views of a --split" in capsys.readouterr().err
     assert main([*render[:2], "--split", "val", "--out", str(tmp_path / "a")]) == 1
     assert "has no validation views" in capsys.readouterr().err
     assert main([*render, str(tiny_data)]) == 1

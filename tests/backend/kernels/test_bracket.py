@@ -133,8 +133,6 @@ def test_a_methods_terms_are_the_same_either_way():
         replace(recordings[1], encoding=SRGB),
     ]
     assert all(trained.bracket_terms(drawn, [recordings[0], other]) is None for other in others)
-    trained.config = replace(PRESETS["default"].method, global_supervision=0.5)
-    assert trained.bracket_terms(drawn, recordings) is None
 
     class Mine(PhysHDR):
         def losses(self, developed, picture, mask=None):

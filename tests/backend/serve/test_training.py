@@ -205,7 +205,7 @@ def test_a_checkpoint_is_written_as_time_passes(tiny_data, tmp_path, monkeypatch
 def test_a_training_that_learned_poses_says_how_far_they_moved(tiny_data, tmp_path, monkeypatch):
     """The engine by itself; these data are renders, of which poses are learned only when asked."""
     preset = PRESETS["default"]
-    learns = dataclasses.replace(preset, poses=dataclasses.replace(preset.poses, mode="on"))
+    learns = dataclasses.replace(preset, poses="on")
     monkeypatch.setitem(PRESETS.own, "default", learns)
     told = []
     server = SimpleNamespace(publish=told.append, answer=lambda *answered: None, show=lambda *shown: None)

@@ -265,7 +265,7 @@ def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_a
     With nuisances off it takes the camera's faults, which are there, for none.
     """
     scene, preset = exposed_one_by_one(), PRESETS["default"]
-    config = replace(preset, initial_points="file", nuisances=replace(preset.nuisances, mode=mode))
+    config = replace(preset, initial_points="file", nuisances=mode)
 
     def error(config):
         trainer = Trainer(scene, config)
@@ -286,7 +286,7 @@ def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_a
 def test_a_training_whose_points_tell_nothing_says_why(monkeypatch):
     monkeypatch.setattr(photometry_module, "MOST_UNKNOWNS", 100)
     preset = PRESETS["default"]
-    config = replace(preset, initial_points="file", nuisances=replace(preset.nuisances, mode="on"))
+    config = replace(preset, initial_points="file", nuisances="on")
     trainer = Trainer(exposed_one_by_one(), config)
     why = "no photometric estimate from the points (30 photos in 30 views are too many to solve for at once)"
     assert trainer.start_message == f"700 points of the data set, {why}, the response as sRGB has it"
