@@ -101,15 +101,23 @@ def evaluate(bench: Bench) -> Command:
 def video(bench: Bench) -> Command:
     if find_spec("av") is None:
         raise SkipError("there is no package av, which writes videos")
+    # The encoder's threads may round differently; ``frames`` compares what it is given.
+    return Command("video", _flight(bench, "video.mp4"), varying=("*.mp4",))
+
+
+def frames(bench: Bench) -> Command:
+    return Command("frames", _flight(bench, "frames"))
+
+
+def _flight(bench: Bench, name: str) -> Callable[[Path], Program]:
     run = bench.material.run
-    frames = ("--seconds", 0.5 if bench.short else 3, "--fps", 10, "--sweep", "exposure")
+    words = ("--seconds", 0.5 if bench.short else 3, "--fps", 10, "--sweep", "exposure")
 
     def start(out: Path) -> Program:
         out.mkdir(parents=True, exist_ok=True)
-        return bench.physhdr("render", run, "--out", out / "video.mp4", "--out", out / "frames", *frames)
+        return bench.physhdr("render", run, "--out", out / name, *words)
 
-    # The encoder's threads may round differently; its frames are compared as pictures, beside it.
-    return Command("video", start, varying=("*.mp4",))
+    return start
 
 
 def prepare(bench: Bench) -> Command:

@@ -267,5 +267,6 @@ def _disk(make: Callable[[Bench], commands.Command], slow: bool = False) -> Call
 disk_export = _disk(commands.export)
 disk_evaluate = _disk(commands.evaluate)
 disk_video = _disk(commands.video)
+disk_frames = _disk(commands.frames)
 disk_prepare = _disk(commands.prepare, slow=True)
 disk_render = _disk(commands.render, slow=True)

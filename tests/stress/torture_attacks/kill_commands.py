@@ -101,6 +101,7 @@ def _working_on(out: Path) -> list[psutil.Process]:
 kill_export = kill(commands.export)
 kill_evaluate = kill(commands.evaluate)
 kill_video = kill(commands.video)
+kill_frames = kill(commands.frames)
 kill_prepare = kill(commands.prepare)
 kill_benchmark = kill(commands.benchmark)
 kill_render = kill(commands.render)

@@ -116,8 +116,8 @@ def two_readers(bench: Bench) -> Result:
     try:
         program.until((run / CHECKPOINT).exists, PATIENCE)
         while program.poll() is None or not opened:
-            for name in ("export", "evaluate"):
-                reading = bench.physhdr(name, run, "--out", bench.folder / name)
+            for name, *option in (("export",), ("evaluate", "--out")):
+                reading = bench.physhdr(name, run, *option, bench.folder / name)
                 result.complain(bench.done(reading), name)
                 opened += 1
             if len(result.complaints) > 20:
