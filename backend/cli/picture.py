@@ -105,7 +105,7 @@ class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
         return open_run(self.source, self.data, self.rasteriser, self.device, say, pictures=False)
 
     def _sure(self, run: Run, say: Callable[[str], None]) -> Sure | None:
-        """The confidence for --layers; None without, and, which is told, where no picture tells it."""
+        """The confidence for --layers; None without, and, which is told, where no picture states it."""
         if not self.layers:
             return None
         try:

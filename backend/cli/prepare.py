@@ -228,7 +228,7 @@ class Prepare:
                 f"{len(borrowed)} photos took the pose of their bracket's next one: {some_names(names)}"
             )
         if left_out:
-            voice.warn(f"left out, for they could not be placed: {some_names(left_out)}")
+            voice.warn(f"ignoring photos that could not be placed: {some_names(left_out)}")
             if understood.is_handheld and not self.borrow_poses:
                 voice.say("--borrow-poses gives black and white photos the pose of their bracket's next one")
         return {

@@ -69,7 +69,7 @@ class ComparableExposures:
 def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
     """time × ISO / 100 × (F_median / F)² for each picture: equal radiance then gives equal exposure.
 
-    Every picture must tell its time. An ISO or an aperture that no picture tells (a manual lens) is the same
+    Every picture must tell its time. An ISO or an aperture that no picture states (a manual lens) is the same
     for all and cancels; that all tell it or none is the callers' to check.
     """
     f_numbers = [picture.f_number for picture in pictures if picture.f_number is not None]

@@ -55,9 +55,9 @@ def exposures_from_exif(
     if exposures.f_number is not None:
         told += f" and f/{exposures.f_number:g}"
     if all(tag.iso is None for tag in known.values()):
-        told += "; no picture tells its ISO: taken as constant"
+        told += "; no picture states its ISO: taken as constant"
     if exposures.f_number is None:
-        told += "; no picture tells its aperture: taken as constant"
+        told += "; no picture states its aperture: taken as constant"
     if len(tags) < len(paths):
         told += "; pictures that hold radiance count as 1 s"
     if lacking:

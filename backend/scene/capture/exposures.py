@@ -103,7 +103,7 @@ def _require(photos: Sequence[Photo], what: str, values: Sequence[float | None])
     without = [photo.name for photo, value in zip(photos, values, strict=True) if value is None]
     if without:
         share = "no photo" if len(without) == len(photos) else f"{len(without)} of {len(photos)} photos"
-        verb = "tells" if len(without) == len(photos) else "do not tell"
+        verb = "states" if len(without) == len(photos) else "do not state"
         raise DataMismatchError(f"{share} {verb} its {what} in EXIF: {some_names(without)}", GIVE_A_FILE)
 
 

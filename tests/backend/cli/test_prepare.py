@@ -201,7 +201,7 @@ def test_poses_that_cannot_be_placed_are_named_and_left_out(room, capture, tmp_p
     assert prepare(folder, "--out", tmp_path / "out", "--camera", "SIMPLE_RADIAL") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "one exposure only" in said and "5 of 8 poses placed" in said
-    assert "left out, for they could not be placed: noise0, noise1, noise2" in said
+    assert "ignoring photos that could not be placed: noise0, noise1, noise2" in said
     assert json.loads((tmp_path / "out" / "prepare.json").read_text())["left_out"][0] == "noise0"
     assert len(list((tmp_path / "out" / "images").iterdir())) == 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mixed", "out"]
@@ -268,7 +268,7 @@ def test_what_can_be_wrong_with_photos_and_options(room, tmp_path):
     assert "no step 2" in refused(photos, "--out", out, "--match", 2)
     assert "no reconstruction of COLMAP" in refused(photos, "--out", out, "--poses", tmp_path)
     Image.new("RGB", (16, 12)).save(photos / "IMG_9.png")
-    assert "1 of 7 photos do not tell its exposure time in EXIF: IMG_9.png" in refused(photos, "--out", out)
+    assert "1 of 7 photos do not state its exposure time in EXIF: IMG_9.png" in refused(photos, "--out", out)
     (photos / "IMG_9.png").unlink()
     assert {path.name: path.read_bytes() for path in photos.iterdir()} == before
     assert not out.exists() and not [path for path in tmp_path.iterdir() if path.name.startswith(".")]

@@ -46,7 +46,7 @@ EXPOSURES = (0.25, 1.0)
 #: In the middle of a view each, 20 metres apart.
 WELL, CLIPPED, STARVED, UNSEEN = range(4)
 RADIANCE = (0.3, 50.0, 1e-7, 0.3)
-#: What is known of a Gaussian that no picture tells anything of: by hand, of the module's formulas.
+#: What is known of a Gaussian that no picture states anything of: by hand, of the module's formulas.
 NOTHING_KNOWN = 1.0 - math.exp(-((0.1 * math.log(2.0)) ** 1.75))
 
 

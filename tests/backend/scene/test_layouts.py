@@ -437,7 +437,7 @@ def test_what_no_picture_tells_counts_as_constant(layouts: ModuleType, tmp_path:
     scene = read_scene(root)
     assert scene.train[0].exposures == pytest.approx((0.1, 0.2, 0.4), rel=1e-3)
     assert any(
-        "no picture tells its ISO" in m and "no picture tells its aperture" in m for m in scene.messages
+        "no picture states its ISO" in m and "no picture states its aperture" in m for m in scene.messages
     )
 
 

@@ -313,7 +313,7 @@ def test_missing_exif_is_named_with_the_remedy(room, tmp_path):
     room.write_photo(tmp_path / "a.jpg", GREY, 1.0, iso=100)
     room.write_photo(tmp_path / "b.jpg", GREY)
     message = refused(exposures_from_exif, find_photos(tmp_path).photos)
-    assert "1 of 2 photos do not tell its exposure time" in message
+    assert "1 of 2 photos do not state its exposure time" in message
     assert "b.jpg" in message and "--exposures" in message
     room.write_photo(tmp_path / "b.jpg", GREY, 1.0)
     assert "ISO" in refused(exposures_from_exif, find_photos(tmp_path).photos)
@@ -556,7 +556,7 @@ def test_the_exposure_bias_alone_is_relative(room, tmp_path):
     assert found.seconds == {"a.jpg": 0.25, "b.jpg": 1.0, "c.jpg": 4.0} and "relative" in found.meaning
     for name in ("a", "c"):  # all at 0 say nothing
         room.write_photo(tmp_path / f"{name}.jpg", GREY, ExposureBiasValue=0.0)
-    assert "no photo tells its exposure time" in refused(exposures_of, tmp_path)
+    assert "no photo states its exposure time" in refused(exposures_of, tmp_path)
 
 
 def test_the_brightness_value_stands_in_for_the_time(room, tmp_path):
