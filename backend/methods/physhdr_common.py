@@ -15,6 +15,7 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ..bounds import FromZero
 from ..kernels.ahead import Needs
 from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
@@ -48,7 +49,7 @@ class PhysHDRConfig(MethodConfig):
 
     #: Draw ĉ, which light turns. Without, c is drawn, and a lighting level only scales.
     illumination_branch: bool = True
-    sh_degree: int = 3
+    sh_degree: FromZero = 3
     tone_mapper: ToneMapperConfig = field(default_factory=ToneMapperConfig)
     loss: LossConfig = field(default_factory=LossConfig)
 

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from ..bounds import FromZero
 from ..scene.camera import Camera
 from .rates import Rate
 
@@ -99,7 +100,7 @@ class BackboneConfig(ABC):
     #: Gaussians that are more transparent than this go.
     prune_opacity: float = 0.005
     #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
-    budget: int
+    budget: FromZero
 
     @abstractmethod
     def stretched(self, steps: Callable[[int], int]) -> Self:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from ..bounds import FromZero, Size
 from ..kernels.bracket import bracket_errors, can_compare_bracket, log_range
 from ..kernels.curve_table import interpolate, knots_between
 from ..kernels.local_curves import local_curves
@@ -46,7 +47,7 @@ SAMPLES, SAMPLED_RANGE = 256, (-12.0, 8.0)
 class ToneMapperConfig:
     """f_tm. The defaults are those of the preset ``default``; see docs/method.md."""
 
-    hidden: int = 64
+    hidden: Size = 64
     activation: Activation = "softplus"
     #: Pass through the data set's anchor (a known exposure × radiance and its code value) by construction:
     #: the absolute scale of the radiance then cannot drift. Needs a data set that names an anchor.
@@ -59,9 +60,9 @@ class ToneMapperConfig:
     initial_slope: float | None = 0.6
     #: Local curves beside the global ones, which see a rendered context feature (GaussHDR).
     local: bool = False
-    context_size: int = 4
+    context_size: Size = 4
     #: Adam steps on the global curves before training (the paper's lineage: 1000).
-    warm_start_steps: int = 0
+    warm_start_steps: FromZero = 0
 
 
 class Response(nn.Module, ABC):

@@ -13,11 +13,12 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.limits import THREADS_MAX, whole
 from ...bridge.messages import ModelExport, RunOpen, TrainResume, TrainStart
 from ...bridge.model_file import SUFFIX
+from ..bounds import WHOLE_MAX
 from ..device import DeviceName
 from ..runs.begin import Workshop, resume_run, start_run
 from ..runs.files import refuse_a_run
 from ..runs.run import Run
-from ..train.config import CONFIG_FILE, ITERATIONS_MAX, SEED_MAX, TrainConfig
+from ..train.config import CONFIG_FILE, ITERATIONS_MAX, TrainConfig
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 
@@ -45,7 +46,7 @@ def new_training(request: TrainStart) -> Job:
     changes: dict[str, Any] = {"exposure_mode": request.exposure_mode, "seed": request.seed}
     if request.iterations is not None:
         changes["iterations"] = whole("iterations", request.iterations, 1, ITERATIONS_MAX)
-    whole("seed", request.seed, 0, SEED_MAX)
+    whole("seed", request.seed, 0, WHOLE_MAX)
     whole("threads", request.threads, 0, THREADS_MAX)
     config = cast(TrainConfig, dataclasses.replace(config, **changes))
     if not data.is_dir():

@@ -9,12 +9,13 @@ import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.regular import read_json_object, resolved
 from ...bridge.run_folder import CONFIG_FILE as CONFIG_FILE
+from ..bounds import Bounds, FromZero, bounds_of
 from ..methods.base import MethodConfig
 from ..methods.physhdr_common import PhysHDRConfig
 from ..methods.registry import METHODS
@@ -27,25 +28,8 @@ from .optimisers import OptimiserConfig
 
 #: Ten million: more than anybody trains, and exact in every number that counts them.
 ITERATIONS_MAX = 10_000_000
-#: What NumPy's and torch's generators both take.
-SEED_MAX = 2**32 - 1
 #: Characters of a preset's name, which stands in reports and exported files.
 LONGEST_NAME = 100
-#: Whole numbers that may be 0 (none, no bound, from the start); every other one is a size or an interval.
-MAY_BE_ZERO = frozenset(
-    {
-        *("seed", "start", "reset_every", "budget", "sh_degree", "warm_start_steps", "skip"),
-        *("position_octaves", "direction_octaves", "fine_samples", "schedule_for", "rates_for"),
-    }
-)
-#: Sizes of networks and of what they make, and the most of each: ten times what any system has.
-SIZES = frozenset(
-    {
-        *("hidden", "composer_hidden", "tone_mapper_hidden", "width", "view_width", "depth"),
-        *("context_size", "feature_size", "offsets", "levels", "position_octaves", "direction_octaves"),
-    }
-)
-LARGEST_SIZE = 4096
 #: No weight, rate or threshold is larger; a million times as large is still no infinity in float32.
 LARGEST_NUMBER = 1e9
 #: Settings whose class a name in ``config.json`` leads to: its table, and the name where there is none.
@@ -62,8 +46,8 @@ Switch = Literal["auto", "on", "off"]
 class TrainConfig:
     """Everything that decides a run's result. Defaults are the preset ``default``."""
 
-    iterations: int = 2500
-    seed: int = 0
+    iterations: Annotated[int, Bounds(1, ITERATIONS_MAX)] = 2500
+    seed: FromZero = 0
     #: exp3: a view is seen at all training exposures; exp1: at one of them, drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
     #: one: an iteration compares its view at one of its exposures, drawn anew; bracket: at all that training
@@ -114,16 +98,12 @@ class TrainConfig:
     #: The length of training that steps of the schedule are given for (sh_degree_every; start, every and
     #: reset_every of backbone): in one twice as long they are twice as long. 0: they are iterations, however
     #: long it is.
-    schedule_for: int = 0
+    schedule_for: FromZero = 0
     method: MethodConfig = field(default_factory=PhysHDRConfig)
     backbone: BackboneConfig = field(default_factory=GaussiansConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.iterations <= ITERATIONS_MAX:
-            raise BadValueError(f"--iterations must be from 1 to {ITERATIONS_MAX}, got {self.iterations}")
-        if not 0 <= self.seed <= SEED_MAX:
-            raise BadValueError(f"--seed must be from 0 to {SEED_MAX}, got {self.seed}")
         if not self.training_exposures or min(self.training_exposures) < 0:
             raise BadValueError(
                 f"--training-exposures must be indices of a bracket, got {list(self.training_exposures)}",
@@ -177,8 +157,7 @@ def _check_numbers(config: Any, where: str) -> None:
     """Raises ``BadValueError`` for a number that no setting can be, here and in the parts of ``config``."""
     for entry in dataclasses.fields(config):
         value, name = getattr(config, entry.name), f"{where}{entry.name}"
-        least = 0 if entry.name in MAY_BE_ZERO else 1
-        most = LARGEST_SIZE if entry.name in SIZES else SEED_MAX
+        least, most = bounds_of(entry.type)
         if dataclasses.is_dataclass(value):
             _check_numbers(value, f"{name}.")
         elif type(value) is int and not least <= value <= most:

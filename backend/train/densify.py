@@ -15,6 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 import torch
 
+from ..bounds import FromZero
 from ..methods.base import Drawn, Method
 from ..model.backbone import Attributes, BackboneConfig
 from ..model.gaussians import Gaussians
@@ -46,7 +47,7 @@ class GaussiansConfig(BackboneConfig):
     keeps_points: ClassVar[bool] = True
 
     #: Densification begins after this iteration.
-    start: int = 100
+    start: FromZero = 100
     #: Share of the training after which the number of Gaussians stays.
     stop: float = 0.6
     #: τ_p: mean norm of ∂L/∂(NDC position).
@@ -55,9 +56,9 @@ class GaussiansConfig(BackboneConfig):
     #: on the screen is not here: its program clears what that reads just before.
     prune_scale: float = 0.1
     #: Iterations between opacity resets; 0: never.
-    reset_every: int = 0
+    reset_every: FromZero = 0
     #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
-    budget: int = 60_000
+    budget: FromZero = 60_000
 
     def stretched(self, steps: Callable[[int], int]) -> Self:
         return dataclasses.replace(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from ..bounds import FromZero
 from ..methods.base import Method
 from ..model.backbone import Backbone
 from ..model.rates import Rate
@@ -42,7 +43,7 @@ class OptimiserConfig:
     #: The length of training, in iterations, that the Gaussians' rates are for. In a longer one they fall
     #: from there on, by (rates_for / iteration)³: at full rates it would go on to learn the pictures' noise
     #: (lab/notebook.md). 0: constant, however long it is (3DGS).
-    rates_for: int = 2500
+    rates_for: FromZero = 2500
 
     def __post_init__(self) -> None:
         for each in dataclasses.fields(self):

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
+from ...backend.bounds import FromZero, Size
 from ...backend.model.backbone import Attributes, BackboneConfig
 from ...backend.model.rates import Rate
 from ...bridge.errors import BadValueError
@@ -83,9 +84,9 @@ class AnchorsConfig(BackboneConfig):
     )
 
     #: k: Gaussians of an anchor.
-    offsets: int = 10
-    feature_size: int = 32
-    hidden: int = 32
+    offsets: Size = 10
+    feature_size: Size = 32
+    hidden: Size = 32
     #: ε, metres: the unit of placement and growth. Scaffold-GS's 0.001 is in the units of each scene's own
     #: reconstruction, ours are metres: 0 takes the median distance to the neighbours over 16.
     voxel_size: float = 0.0
@@ -106,7 +107,7 @@ class AnchorsConfig(BackboneConfig):
     #: τ: mean norm of ∂L/∂(NDC position) of a neural Gaussian; doubled from each level to the next finer.
     threshold: float = 2e-4
     #: Cells of a level, in voxels: from the coarsest, each a ``refinement`` finer.
-    levels: int = 3
+    levels: Size = 3
     coarsest: int = 16
     refinement: int = 4
     #: A Gaussian counts when it was drawn in half of this share of ``every`` iterations; an anchor is judged
@@ -115,7 +116,7 @@ class AnchorsConfig(BackboneConfig):
     #: Anchors whose Gaussians have less opacity than this in sum, on average, go.
     prune_opacity: float = 0.005
     #: Never more Gaussians (anchors × offsets) than this; the largest gradients come first. 0: no bound.
-    budget: int = 0
+    budget: FromZero = 0
 
     def __post_init__(self) -> None:
         if self.offsets < 1 or self.placement < 1:

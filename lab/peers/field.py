@@ -11,6 +11,8 @@ from typing import Literal
 import torch
 from torch import nn
 
+from ...backend.bounds import FromZero, Size, SizeFromZero
+
 #: The last sample of a ray reaches this far (NeRF): whatever has a density there is opaque.
 BEYOND = 1e10
 #: Added to the coarse weights, so that importance sampling visits everything (NeRF).
@@ -22,15 +24,15 @@ class FieldConfig:
     """The size of a field; the defaults are NeRF's and HDR-NeRF's."""
 
     #: Layers before the density, and their width.
-    depth: int = 8
-    width: int = 256
+    depth: Size = 8
+    width: Size = 256
     #: The encoded position enters once more behind this layer (from 0); at depth − 1 or more: nowhere.
-    skip: int = 4
+    skip: FromZero = 4
     #: Width of the layer that sees the direction.
-    view_width: int = 128
+    view_width: Size = 128
     #: Octaves of the encodings of position and direction.
-    position_octaves: int = 10
-    direction_octaves: int = 4
+    position_octaves: SizeFromZero = 10
+    direction_octaves: SizeFromZero = 4
     #: First weights of the layers with a ReLU: torch's own for a linear layer, as in HDR-NeRF, which let a
     #: signal fade from layer to layer, or He's (2015), which do not: short trainings need that.
     first_weights: Literal["torch", "he"] = "torch"

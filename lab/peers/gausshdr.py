@@ -16,6 +16,7 @@ from typing import ClassVar
 import torch
 from torch import nn
 
+from ...backend.bounds import FromZero
 from ...backend.kernels.activations import DARKEST
 from ...backend.kernels.ahead import Needs
 from ...backend.kernels.local_curves import local_curves
@@ -42,7 +43,7 @@ class GaussHDRConfig(MethodConfig):
 
     name: ClassVar[str] = "gausshdr"
 
-    sh_degree: int = 3
+    sh_degree: FromZero = 3
     #: Softplus bends the global curve: by a remark in their code better for synthetic scenes on 3DGS; they
     #: use ReLU elsewhere. The local curves and the uncertainty are always of ReLU.
     tone_mapper: ToneMapperConfig = field(

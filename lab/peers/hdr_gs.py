@@ -19,6 +19,7 @@ from typing import ClassVar, Literal
 import torch
 from torch.nn import functional
 
+from ...backend.bounds import FromZero
 from ...backend.kernels.activations import DARKEST
 from ...backend.kernels.ahead import Needs
 from ...backend.kernels.ssim import ssim_and_error
@@ -55,7 +56,7 @@ class HDRGSConfig(MethodConfig):
 
     name: ClassVar[str] = "hdr-gs"
 
-    sh_degree: int = 3
+    sh_degree: FromZero = 3
     tone_mapper: ToneMapperConfig = field(
         default_factory=lambda: ToneMapperConfig(
             hidden=128, activation="relu", anchored=False, initial_slope=None

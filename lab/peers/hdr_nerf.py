@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import torch
 
+from ...backend.bounds import FromZero, Size
 from ...backend.kernels.ahead import Needs
 from ...backend.methods.base import Batch, Facts, MethodConfig, Outcome, Pool, Traits
 from ...backend.model.rates import Rate
@@ -48,20 +49,20 @@ class HDRNeRFConfig(MethodConfig):
     #: Both fields, coarse and fine.
     field: FieldConfig = field(default_factory=FieldConfig)
     #: Hidden units of each curve 1 → H → 1.
-    tone_mapper_hidden: int = 128
+    tone_mapper_hidden: Size = 128
     #: Rays of an iteration, drawn from all pixels of all training pictures.
     rays_per_iteration: int = 1024
     #: Samples along a ray: evenly spread ones, which the coarse field sees, and more where it says that
     #: something is (published: 128 for rendered data, 64 for photographs); the fine field sees both.
     coarse_samples: int = 64
-    fine_samples: int = 128
+    fine_samples: FromZero = 128
     #: Standard deviation of the noise on σ in training; None: 1 where the data name no point of the response
     #: (photographs), else 0.
     density_noise: float | None = None
     #: NDC for cameras that face alike (all of HDR-NeRF's data), else metric; auto finds out.
     rays: Literal["auto", "ndc", "metric"] = "auto"
     #: Adam steps on the curves alone before training.
-    warm_start_steps: int = 500
+    warm_start_steps: FromZero = 500
     #: Weight of U, for each of the two curves.
     unit_weight: float = 0.5
     #: Adam's rate, and which share of it is left at the end (×0.1 in 500 k steps, of which 200 k are done;

@@ -15,6 +15,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import nn
 
+from ...backend.bounds import Size
 from ...backend.kernels.activations import illumination_deviation
 from ...backend.kernels.ahead import Needs
 from ...backend.kernels.ssim import SsimTarget
@@ -49,7 +50,7 @@ class PaperConfig(PhysHDRConfig):
     name: ClassVar[str] = "physhdr-paper"
 
     #: Hidden units of g and φ.
-    composer_hidden: int = 64
+    composer_hidden: Size = 64
     #: L_a: one number a Gaussian, or one a colour channel.
     illumination_channels: Literal[1, 3] = 1
     #: Positions learn from how H_r changes with the viewing direction, as in 3DGS's own program.

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from ...backend.bounds import FromZero
 from ...backend.kernels.activations import DARKEST, LOG_RADIANCE_RANGE, radiance_of_logarithm
 from ...backend.kernels.pointwise import blend
 from ...backend.model.radiance import SmallNetwork
@@ -67,7 +68,7 @@ class PaperToneMapperConfig(ToneMapperConfig):
     local: bool = True
     #: Fuse the branches by f_mix (needs local curves and both branches), else by a plain mean.
     mix: bool = True
-    warm_start_steps: int = 1000
+    warm_start_steps: FromZero = 1000
 
 
 class FusingToneMapper(ToneMapper):

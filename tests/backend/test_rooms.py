@@ -58,7 +58,7 @@ BACKEND: Floors = (
     # Rows that packages add.
     ("tables",),
     # Standard library alone (and the bridge's errors): asked before anything else is there.
-    ("memory", "project", "optional", "child"),
+    ("memory", "project", "optional", "child", "bounds"),
     ("shell",),
 )
 ADDON: Floors = (
