@@ -269,7 +269,7 @@ def _tell_what_is_missing(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, re
                 lost.append(image.name)
     if lost:
         report.warn(f"missing files (File > External Data): {', '.join(sorted(set(lost)))}")
-    if scripts.was_refused():
+    if bpy.app.autoexec_fail:
         report.warn(
             "Python in this file was not run, because nobody allowed it (Trusted Source on opening it, -y, "
             "or Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look "

@@ -617,16 +617,37 @@ def test_whether_python_may_run_is_asked_without_a_trace(scripted):
         scripted(allowed)
         scene, names = bpy.context.scene, set(bpy.app.driver_namespace)
         assert scripts.may_run() is allowed and bpy.context.scene == scene and not bpy.data.is_dirty
+        assert bpy.app.autoexec_fail is not allowed
         assert set(bpy.app.driver_namespace) == names
         assert {name: len(getattr(bpy.data, name)) for name in before} == before
-    # Nothing that is scripted: nothing was refused, and all the same nothing is allowed.
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert not bpy.app.autoexec_fail and not scripts.may_run()
-    assert not scripts.was_refused()  # but our own question, of which nobody is warned
-    scripted(False)
-    for _ in range(2):
-        bpy.context.view_layer.update()
-        assert scripts.was_refused() and not scripts.may_run()
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+@pytest.mark.parametrize("expression", ["", "frame + 2"])
+def test_a_file_without_python_provokes_no_warning(room, tmp_path, expression, allowed):
+    """Blender evaluates simple expressions itself: there is nothing to allow, and nothing to warn of."""
+    if expression:
+        bpy.data.lights["lamp"].driver_add("energy").driver.expression = expression
+    path = tmp_path / "plain.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=allowed)
+    assert scripts.switch() == "-Y" and not bpy.app.autoexec_fail
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_python_that_nothing_has_evaluated_yet_is_asked_for(room, tmp_path, allowed):
+    """A driver of a material that no view shows: Blender has neither run nor refused it."""
+    material = bpy.data.materials.new("unseen")
+    material.use_fake_user = True
+    roughness = material.node_tree.nodes["Principled BSDF"].inputs["Roughness"]
+    roughness.driver_add("default_value").driver.expression = "rough()"
+    path = tmp_path / "unseen.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=allowed)
+    assert not bpy.app.autoexec_fail
+    assert scripts.may_run() is allowed
+    # What Blender's warning names is the file's own Python.
+    assert ("rough()" in bpy.app.autoexec_fail_message) is bpy.app.autoexec_fail is not allowed
 
 
 def test_blender_is_told_in_words_what_it_may_run(scripted):
