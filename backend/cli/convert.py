@@ -407,14 +407,10 @@ def _refuse_color_space(path: Path, color_space: ColorWords | None) -> None:
 
 
 def _of_run(folder: Path, data: Path | None, say: Callable[[str], None]) -> Source:
-    from ..export.blender_model import to_model
     from ..runs.run import open_run
 
     run = open_run(folder, data, report=say, pictures=False)
-    viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
-    exposures = run.scene.train[0].exposures
-    model = to_model(run.on_gaussians(), viewpoint, exposures, run.provenance)
-    return Source(model, facts=tuple(run.provenance.items()), run=run)
+    return Source(run.model(with_confidence=False), facts=tuple(run.provenance.items()), run=run)
 
 
 def _of_cloud(path: Path, cloud: SplatCloud, is_linear: bool) -> Source:

@@ -54,20 +54,25 @@ class Layers:
 
 @torch.no_grad()
 def draw_layers(
-    method: Method, camera: Camera, levels: tuple[float, ...], sure: Sure | None = None
+    method: Method,
+    camera: Camera,
+    levels: tuple[float, ...],
+    sure: Sure | None = None,
+    scale: float = 1.0,
 ) -> Layers:
-    """What ``camera`` sees at one level a light."""
+    """What ``camera`` sees at one level a light, its radiance times ``scale``."""
     drawn = method.preview(camera, levels)
     assert drawn.depth is not None, "a preview has it"
     names = method.lights_apart
     fixed, lights = None, {}
     if names:
         parts, _ = method.lit_splats(camera).drawn(camera, method.implementation)
+        parts = parts * scale
         fixed, lights = parts[0], dict(zip(names, parts[1:], strict=True))
     confidence = None
     if sure is not None:
         confidence = confidence_picture(sure.method, sure.confidence, camera).image[0]
-    return Layers(drawn.image, drawn.alpha, drawn.depth, fixed, lights, confidence)
+    return Layers(drawn.image * scale, drawn.alpha, drawn.depth, fixed, lights, confidence)
 
 
 def write_layers(path: Path, layers: Layers, levels: Sequence[float] = ()) -> None:

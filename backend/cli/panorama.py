@@ -93,7 +93,7 @@ class Panorama(Rendering, PlaceOptions):
             run = open_run(
                 self.source, self.data, self.rasteriser, self.device, saying(self.json), pictures=False
             )
-            return _OfMethod(run.method)
+            return _OfMethod(run.method, run.radiance_scale)
         if given := given_of(self, "data", "device"):
             raise BadValueError(
                 f"--{given[0]} only applies to a run, and {self.source} is not a folder", "Leave it out."
@@ -155,10 +155,10 @@ class _OfModel:
 
 
 class _OfMethod:
-    """A trained method's light, of its own splats, which may be other ones for every picture."""
+    """A trained method's light times ``scale``. Its splats may be others for every picture."""
 
-    def __init__(self, method: Method) -> None:
-        self._method, self.left_out = method, 0
+    def __init__(self, method: Method, scale: float) -> None:
+        self._method, self._scale, self.left_out = method, scale, 0
         self.lights = method.lights_apart
         self.positions = method.backbone.positions.detach().cpu().numpy()
         self.drawn_width = SPLATS_WIDTH if len(self.positions) else 0
@@ -169,6 +169,6 @@ class _OfMethod:
         def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
             parts, alpha, left_out = self._method.parts_beyond(camera, place, near)
             self.left_out = max(self.left_out, left_out)
-            return parts, alpha
+            return parts * self._scale, alpha
 
         return draw

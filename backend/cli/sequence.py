@@ -179,11 +179,11 @@ def require_model(folder: Path, digest: str) -> None:
 def draw(run: Run, frame: Frame, sure: Sure | None = None) -> None:
     """Draw a frame into its file; raises ``OutputError``, ``BadValueError`` for NaN."""
     if frame.layers:
-        layers = draw_layers(run.method, frame.camera, frame.levels, sure)
+        layers = draw_layers(run.method, frame.camera, frame.levels, sure, run.radiance_scale)
         finite(layers.radiance, frame.path.name)
         write_layers(frame.path, layers, frame.levels)
     elif frame.path.suffix.lower() == ".exr":
-        radiance = finite(run.method.hdr(frame.camera, frame.levels), frame.path.name)
+        radiance = finite(run.method.hdr(frame.camera, frame.levels), frame.path.name) * run.radiance_scale
         write_exr(frame.path, radiance.permute(1, 2, 0).numpy())
     else:
         write_png(frame.path, as_picture(run.method.ldr(frame.camera, frame.exposure, frame.levels)))

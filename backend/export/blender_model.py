@@ -6,6 +6,7 @@ ln radiance is projected onto SH and relighting is baked at a few levels.
 """
 
 import copy
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,11 +87,13 @@ def to_model(
     exposures: tuple[float, ...],
     metadata: dict[str, str],
     confidence: np.ndarray | None = None,
+    scale: float = 1.0,
 ) -> Model:
     """The file's content, of a method on plain Gaussians (``on_gaussians``).
 
     ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean. ``confidence`` ``[N]``
-    (``confidence.confidence_of``); None: the pictures that tell it are not there.
+    (``confidence.confidence_of``); None: the pictures that tell it are not there. ``scale``: what radiance
+    is multiplied by; the curve follows, so that its pictures stay the same.
     """
     g = method.gaussians
     share = gain = None
@@ -103,18 +106,20 @@ def to_model(
     else:
         gain, levels = level_log_gain(method, torch.as_tensor(viewpoint, dtype=torch.float32)), BAKED_LEVELS
     log_exposure, curve = tone_curve(method)
+    log_radiance = log_radiance_sh(method)
+    log_radiance[:, 0] += math.log(scale) / SH_C0
     return Model(
         # One Gaussian that ran away, which nobody sees, shall not keep the others from being written.
         position=g.means.detach().clamp(-FARTHEST, FARTHEST).numpy(),
         rotation=torch.nn.functional.normalize(g.quaternions.detach(), dim=1).numpy(),
         scale=g.scales.clamp(max=FARTHEST).numpy(),
         opacity=g.opacities.numpy(),
-        log_radiance_sh=log_radiance_sh(method),
+        log_radiance_sh=log_radiance,
         light_share=share,
         lights=method.lights,
         level_log_gain=gain,
         levels=levels,
-        tone_curve_log_exposure=log_exposure,
+        tone_curve_log_exposure=log_exposure + math.log(scale),
         tone_curve=curve,
         exposures=exposures,
         metadata=metadata,

@@ -4,6 +4,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..train.learned_lens import LearnedLenses, lenses_of
 from ..train.learned_poses import moved
 from ..train.trainer import Trainer, learned_of_photographs, load_method
 from ..train.views import seen_exposures, training_views
+from .display_scale import display_scale
 from .terminal import console
 from .views import as_trained, has_its_pictures, read_views
 
@@ -62,6 +64,18 @@ class Run:
         Photographs of a hundredth of a second are of radiance about a hundred, which is white as it is.
         """
         return math.log2(self.scene.middle_exposure) if self.scene.photographs else 0.0
+
+    @cached_property
+    def radiance_scale(self) -> float:
+        """What the method's radiance is multiplied by wherever it leaves the run (``display_scale``).
+
+        1 for renders, whose radiance is a scene's, and where the response is known.
+        """
+        if not (self.scene.photographs and self.method.learns_response):
+            return 1.0
+        exposure = self.scene.middle_exposure
+        views = [each for each in self.trained_views() if each.is_standard and exposure in each.exposures]
+        return display_scale(self.method, views[len(views) // 2].camera, exposure)
 
     def on_gaussians(self) -> Method:
         """The method on plain Gaussians on the CPU, as files hold it."""
@@ -107,7 +121,9 @@ class Run:
         seen = self.seen()
         return None if seen is None else confidence_of(method, seen, show)
 
-    def model(self, show: Callable[[int, int, str], None] | None = None) -> Model:
+    def model(
+        self, show: Callable[[int, int, str], None] | None = None, *, with_confidence: bool = True
+    ) -> Model:
         """The model file's content, for Blender: the method as it is now.
 
         With its confidence where the training pictures are there, which takes a while: ``show`` is told.
@@ -115,7 +131,14 @@ class Run:
         viewpoint = np.mean([view.camera.position for view in self.scene.train], axis=0)
         exposures = self.scene.train[0].exposures
         method = self.on_gaussians()
-        return to_model(method, viewpoint, exposures, self.provenance, self.confidence(method, show))
+        return to_model(
+            method,
+            viewpoint,
+            exposures,
+            self.provenance,
+            self.confidence(method, show) if with_confidence else None,
+            self.radiance_scale,
+        )
 
 
 def open_run(

@@ -164,7 +164,8 @@ class Engine:
         try:
             if self._run is None:
                 raise NoModelError("there is no model to render yet", "Start a training, or open a run.")
-            shown: Any = preview.render(self._run.method, wanted.request, self._iteration)
+            scale = (self._training or self._run).radiance_scale
+            shown: Any = preview.render(self._run.method, wanted.request, self._iteration, scale)
         except Exception as error:  # noqa: BLE001 (as above: too large a picture is no reason to stop)
             shown = self._failure(error)
         self._server.show(wanted, shown)

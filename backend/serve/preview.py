@@ -63,8 +63,8 @@ def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
 
 
 @torch.no_grad()
-def render(method: Method, request: PreviewRequest, iteration: int) -> PreviewFrame:
-    """The frame that answers ``request``; ``PreviewRequest`` says what is in it.
+def render(method: Method, request: PreviewRequest, iteration: int, scale: float = 1.0) -> PreviewFrame:
+    """The frame that answers ``request``; ``PreviewRequest`` says what is in it. Radiance is times ``scale``.
 
     Raises ``BadValueError`` for what cannot be rendered.
     """
@@ -80,7 +80,7 @@ def render(method: Method, request: PreviewRequest, iteration: int) -> PreviewFr
         seen, empty = (srgb_to_linear(codes.clamp(0.0, 1.0)) for codes in (picture, black))
         colours = (seen - (1.0 - drawn.alpha) * empty).clamp_min(0.0)
     else:
-        colours = drawn.image * exposure
+        colours = drawn.image * (exposure * scale)
     rgba = torch.empty(camera.height, camera.width, 4, dtype=torch.float16, device=colours.device)
     rgba[..., :3] = colours.clamp(max=HALF_MAX).permute(1, 2, 0)
     rgba[..., 3] = drawn.alpha

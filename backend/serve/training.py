@@ -17,6 +17,8 @@ from .status import Status, device_words, finite
 
 #: Seconds between two statuses while a training runs; changes of state are told at once.
 STATUS_SECONDS = 0.25
+#: Iterations between two looks at how bright radiance is on a display.
+SCALE_ITERATIONS = 50
 
 
 class Desk(Protocol):
@@ -56,6 +58,7 @@ class Training:
         self._speed, self._tidying = Speed(), Tidying(trainer)
         self._paused = False
         self._found = ""  # of the cameras, known at the end
+        self._scale, self._scale_from = 1.0, -SCALE_ITERATIONS  # and the iteration that it is from
         self._next_status = 0.0
 
     @property
@@ -67,6 +70,13 @@ class Training:
     def run(self) -> Run:
         """The run as it is now."""
         return as_learned(self._run, self._trainer)
+
+    @property
+    def radiance_scale(self) -> float:
+        """``Run.radiance_scale`` as of some iterations ago: it moves slowly, and costs a picture."""
+        if self.iteration >= self._scale_from + SCALE_ITERATIONS:
+            self._scale, self._scale_from = self.run.radiance_scale, self.iteration
+        return self._scale
 
     def pause(self, paused: bool) -> None:
         """Wait after this iteration, or go on."""

@@ -8,11 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.run_files import RunFiles
+from physhdr.backend.export.blender_model import to_model
+from physhdr.backend.runs.run import open_run
+from physhdr.backend.scene.pictures import read_exr
+from physhdr.backend.serve import preview
+from physhdr.bridge import srgb
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.messages import PreviewCamera, PreviewRequest
 from physhdr.bridge.model_file import photographed_ev, read_model
+from physhdr.bridge.spherical_harmonics import C0
 from physhdr.bridge.splat_files import read_splat_file
 
 
@@ -74,6 +82,38 @@ def test_files_for_viewers_are_as_bright_as_the_photographs(photographs: Path, t
         np.testing.assert_allclose(colours(path), expected, atol=2e-3)
     assert main(["export", str(photographs), str(tmp_path / "2s.ply"), "--quick", "--exposure-ev", "1"]) == 0
     assert np.abs(colours(tmp_path / "2s.ply") - expected).mean() > 0.1
+
+
+def test_radiance_of_photographs_is_on_a_display_as_they_are(photographs: Path, tmp_path: Path) -> None:
+    """In a render, in a preview and in the model file; and the model's own curve still gives the photo."""
+    run = open_run(photographs, pictures=False)
+    seconds, camera = run.scene.middle_exposure, run.trained_views()[0].camera
+    photo = run.method.ldr(camera, seconds).double()
+
+    rendered = tmp_path / "view.exr"
+    assert main(["render", str(photographs), "--view", "train/0", "--out", str(rendered)]) == 0
+    radiance = torch.from_numpy(read_exr(rendered)).double().permute(2, 0, 1)
+    shown = srgb.to_srgb((seconds * radiance).clamp(0.0, 1.0).numpy())
+    assert abs(shown.mean() - float(photo.mean())) < 5.0 / 255.0
+    assert abs(math.log2(run.radiance_scale)) > 0.5  # what it would have been wrong by
+
+    pose = tuple(camera.camera_to_world.ravel().tolist())
+    lens = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    asked = PreviewCamera(pose=pose, **lens)
+    request = PreviewRequest(sequence=1, camera=asked, exposure_ev=math.log2(seconds))
+    frame = preview.render(run.method, request, run.iteration, run.radiance_scale)
+    np.testing.assert_allclose(
+        frame.rgba[..., :3].transpose(2, 0, 1), seconds * radiance, rtol=2e-2, atol=1e-3
+    )
+
+    model = run.model(with_confidence=False)
+    log_radiance = model.log_radiance_sh[:, 0] * C0
+    plain = to_model(run.on_gaussians(), np.zeros(3), (), {})
+    np.testing.assert_allclose(
+        log_radiance - plain.log_radiance_sh[:, 0] * C0, math.log(run.radiance_scale), atol=1e-4
+    )
+    at = plain.tone_curve_log_exposure
+    np.testing.assert_allclose(model.tone_curve_log_exposure - at, math.log(run.radiance_scale), atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["baked.ply", "lossless.ply"])
