@@ -11,6 +11,12 @@ from pathlib import PurePath
 #: PowerShell with ``&;,'@()``.
 PLAIN_ON_WINDOWS = re.compile(r"[\w\\/:.+-]+")
 
+#: Settings that ``physhdr train`` has an option for; ``--set`` takes these, too, and all others.
+OPTIONS = (
+    *("iterations", "seed", "exposure_mode", "training_exposures", "downscale", "color_space"),
+    *("initial_points", "points_file", "calibration", "nuisances", "poses"),
+)
+
 
 def as_word(path: PurePath) -> str:
     """A path as one word of a command line, quoted where this system's shell would take it for more.
@@ -25,6 +31,14 @@ def as_word(path: PurePath) -> str:
         return text
     last = text[len(text.rstrip("\\")) :]  # a backslash before a quote would make it part of the word
     return f'"{text}{last}"'
+
+
+def option(setting: str, value: object = None) -> str:
+    """How a setting is typed: ``--downscale 2``, ``--set backbone.budget=20000``; its name alone without."""
+    shown = "" if value is None else str(value)
+    if setting in OPTIONS:
+        return f"--{setting.replace('_', '-')} {shown}".rstrip()
+    return f"--set {setting}={shown}".rstrip("=")
 
 
 def pip_install(package: str, *, upgrade: bool = False) -> str:

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr benchmark``: methods × scenes × settings × seeds at equal budgets, and the report on them."""
 
-import contextlib
 import hashlib
-import io
 import json
 import shlex
 import sys
@@ -15,18 +13,19 @@ from typing import Any, Literal
 import tyro
 from rich.live import Live
 
-from ..backend.cli.train import Train, options_in, preset_named
 from ..backend.device import DeviceName
 from ..backend.jobs.pools import LocalPool, Pool, RayPool
 from ..backend.runs.files import writable_folder
 from ..backend.runs.terminal import console
 from ..backend.train.config import CONFIG_FILE, TrainConfig, write_config
+from ..backend.train.presets import preset_named
+from ..backend.train.settings import assigned, with_settings
 from ..bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..bridge.regular import resolved
 from ..bridge.signals import caught, interrupt
 from .benchmark.job import PROGRAM
 from .benchmark.live import progress_table
-from .benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
+from .benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, setting_in, write_plan
 from .benchmark.report import REPORT_FILE, holds_runs, write_report
 from .benchmark.roles import require_allowed
 from .benchmark.runs import PER_RUN, Store, data_fingerprint, data_folder
@@ -47,7 +46,7 @@ class Benchmark:
     plan: Path | None = None
     #: What it is for: report (test views; the default), or tune (validation views alone, to make choices on).
     kind: Literal["tune", "report"] | None = None
-    #: Presets, with commas or spaces between; or 'NAME := PRESET --option value', one an argument.
+    #: Presets, with commas or spaces between; or 'NAME := PRESET setting=value', one an argument.
     methods: tuple[str, ...] = ()
     #: Pictures that another program made: NAME=FOLDER, with {scene} and so on (lab/compare.md).
     external: tuple[str, ...] = ()
@@ -205,8 +204,8 @@ def configurations(
 
     ``presets``: of each method its ``configuration``. Raises ``OutputError``.
     """
-    # The names of options are those of settings; what differs between runs is typed, too.
-    typed = {method.name: (*options_in(list(plan.words_of(method))), *PER_RUN) for method in plan.trained}
+    # What differs between runs is typed, too.
+    typed = {each.name: (*map(setting_in, plan.settings_of(each)), *PER_RUN) for each in plan.trained}
     found = {}
     for scene in plan.scenes:
         for name, config in sized(presets, typed, data_folder(out, plan, scene)).items():
@@ -215,24 +214,16 @@ def configurations(
 
 
 def configuration(plan: Plan, name: str) -> TrainConfig:
-    """The whole configuration of a method by the options that training will be given, before its sizes are
-    found from the data.
+    """The whole configuration of a method as training will have it, before its sizes are found from the data.
 
-    Raises ``BadValueError`` with what the parser says of an unknown preset, option or value.
+    Raises ``BadValueError`` for an unknown preset or setting, and for what one cannot be.
     """
     method = next(method for method in plan.methods if method.name == name)
-    words = list(plan.words_of(method))
-    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            train = tyro.cli(Train, default=Train(config=preset_named(words)), args=words)
-    except SystemExit as error:
-        lines = [line.strip(" │╭╮╰╯─") for line in said.getvalue().splitlines()]
-        text = " ".join(line for line in lines if line)
-        raise BadValueError(
-            f"the options of the method '{name}' are not understood: {text}", f"They are: {' '.join(words)}"
-        ) from error
-    return train.config
+        preset = preset_named(method.preset)
+        return with_settings(preset, assigned(preset, plan.settings_of(method)))
+    except BadValueError as error:
+        raise BadValueError(f"the method '{name}': {error.message}", error.hint) from error
 
 
 def _as_written(config: TrainConfig) -> dict[str, Any]:

@@ -31,10 +31,10 @@ PHRASES = (
     (r": --downscale\b", ""),
     # Presets that the panel offers have other values of them; Default's are made for what failed here.
     (
-        r"train again with --backbone\.reset-every 0, .* with a smaller --backbone\.prune-opacity",
+        r"train again with --set backbone\.reset_every=0, .* with a smaller --set backbone\.prune_opacity",
         "train again with Method set to Default",
     ),
-    (r", (lower --backbone\.voxel-size, )?or train with --initial-points random", ""),
+    (r", (lower --set backbone\.voxel_size, )?or train with --initial-points random", ""),
 )
 #: The same for what is made of a run or a model; then options one by one, and the words for where the result
 #: goes, by task.

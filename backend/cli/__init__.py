@@ -174,13 +174,11 @@ def _command(argv: list[str]) -> Any:
     from .layout import LayOut
     from .prepare import Prepare
     from .render import Render
-    from .train import Train, options_in, preset_named
+    from .train import Train
     from .triangulate import Triangulate
 
-    # The preset decides the defaults of the other options, so it is read first.
-    train = Train(config=preset_named(argv), typed=options_in(argv))
     commands: Any = (
-        Annotated[Train, tyro.conf.subcommand("train", default=train)]
+        Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
         | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]

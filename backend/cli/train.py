@@ -3,11 +3,12 @@
 
 import dataclasses
 import signal
+import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import torch
 import tyro
@@ -24,43 +25,46 @@ from ..runs.monitor import view_monitor
 from ..runs.run import Run
 from ..runs.terminal import aside
 from ..runs.tidy import Tidying
-from ..shell import as_word
+from ..shell import OPTIONS, as_word, option
 from ..train import events
 from ..train.config import CONFIG_FILE, TrainConfig
 from ..train.duration import Duration
-from ..train.presets import PRESETS
+from ..train.presets import PRESETS, preset_named
+from ..train.settings import Setting, as_text, assigned, settings_of, type_in_words, with_settings
 from ..train.trainer import CHECKPOINT_SECONDS, Trainer
+from .given import as_typed, given_of
 from .kernels import compile_kernels
 
-#: Options, by their settings' names, that count where a run goes on: its configuration says all else.
-ON_RESUMING = ("resume", "rasteriser", "device", "threads", "checkpoint_seconds")
+#: Options that count when resuming: the run's own configuration says all else.
+ON_RESUMING = ("rasteriser", "device", "threads", "checkpoint_seconds")
 
 
-def preset_named(argv: list[str]) -> TrainConfig:
-    """The configuration of the ``--preset`` in ``argv`` (the default one if there is none)."""
-    name = "default"
-    for i, word in enumerate(argv):
-        if word == "--preset" and i + 1 < len(argv):
-            name = argv[i + 1]
-        elif word.startswith("--preset="):
-            name = word.partition("=")[2]
-    if name not in PRESETS:
-        raise BadValueError(f"there is no preset '{name}'", f"Choose from: {', '.join(PRESETS)}.")
-    return PRESETS[name]
+def _option(setting: Setting) -> tuple[str, Any, Any]:
+    """A field for ``setting``: the words that are typed, none where the preset's value stays."""
+    choices = {int: "INT", float: "FLOAT"}.get(setting.type, "TEXT")
+    if get_origin(setting.type) is Literal:
+        choices = "{" + ",".join(get_args(setting.type)) + "}"
+    shown = tyro.conf.arg(
+        help=setting.meaning, metavar=choices, help_behavior_hint=f"(default: {as_text(setting.value)})"
+    )
+    if isinstance(setting.value, tuple):
+        return setting.name, Annotated[tuple[str, ...], shown], ()
+    return setting.name, Annotated[str, shown], ""
 
 
-def options_in(argv: list[str]) -> tuple[str, ...]:
-    """The settings that the options in ``argv`` name: ``--backbone.budget 9`` is ``backbone.budget``."""
-    words = (word[2:].partition("=")[0] for word in argv if word.startswith("--"))
-    return tuple(word.replace("-", "_") for word in words)
+#: The options that are settings, of which ``OPTIONS`` is the list.
+Options: Any = make_dataclass(
+    "Options", [_option(setting) for setting in settings_of(TrainConfig()) if setting.name in OPTIONS]
+)
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train PhysHDR-GS, or another method, on a data set. CTRL-C saves a checkpoint; --resume goes on."""
+    """Train PhysHDR-GS, or another method, on a data set. CTRL-C saves a checkpoint; --resume goes on.
 
-    # The flags are those of the preset's own method and backbone, without a choice of others.
-    config: Annotated[TrainConfig, tyro.conf.arg(name=""), tyro.conf.AvoidSubcommands]
+    How much effort is one choice: --preset fast, default or high.
+    """
+
     #: Folder of the data set.
     data: tyro.conf.Positional[Path | None] = None
     #: Folder of the run: configuration, checkpoint, logs.
@@ -69,7 +73,8 @@ class Train:
     resume: Path | None = None
     #: Start again where --out already holds a run, replacing it.
     overwrite: bool = False
-    #: Where the other options' defaults come from.
+    #: What all settings are unless they are given. fast and high are default with half and four times the
+    #: iterations; the others are yardsticks and published methods.
     preset: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(PRESETS) + "}")] = "default"
     #: What draws the Gaussians; auto: CUDA where there is one, else the CPU kernels.
     rasteriser: Implementation = "auto"
@@ -79,10 +84,22 @@ class Train:
     threads: int = 0
     #: Seconds between checkpoints; more where writing one would take a fiftieth of the time.
     checkpoint_seconds: float = CHECKPOINT_SECONDS
-    #: What stands on the command line: sizes of the training that do not are found from the data.
-    typed: tyro.conf.Suppress[tuple[str, ...]] = ()
+    options: Annotated[Any, tyro.conf.arg(name="", constructor=Options)] = field(default_factory=Options)
+    #: Any other setting, such as backbone.budget=60000; may be repeated.
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE"), tyro.conf.UseAppendAction] = ()
+    #: List all settings of the preset, and what they are.
+    help_all: bool = False
+
+    @property
+    def assignments(self) -> list[str]:
+        """The settings that are given, as ``NAME=VALUE``: sizes that are not follow from the data."""
+        typed = {name: as_text(value) for name, value in vars(self.options).items() if value}
+        return [*(f"{name}={value}" for name, value in typed.items()), *self.set]
 
     def run(self) -> int:
+        if self.help_all:
+            sys.stdout.write(_listed(preset_named(self.preset)))
+            return 0
         if whole("--threads", self.threads, 0, THREADS_MAX):
             set_threads(self.threads)
             torch.set_num_threads(self.threads)
@@ -124,32 +141,39 @@ class Train:
                 "a data set and --out are needed",
                 "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN",
             )
+        preset = preset_named(self.preset)
+        values = assigned(preset, self.assignments)
         return start_run(
             self.data,
             self.out,
-            self.config,
+            with_settings(preset, values),
             self.preset,
-            typed=self.typed,
+            typed=values,
             overwrite=self.overwrite,
             workshop=workshop,
         )
 
     def _refuse_settings(self, run: Path) -> None:
-        """Raises ``BadValueError`` where something is typed that is not read where ``run`` goes on."""
-        # Two dashes alone, which end the options, name none.
-        unread = [name for name in self.typed if name and name not in ON_RESUMING]
+        """Raises ``BadValueError`` where something is given that is not read when ``run`` is resumed."""
+        unread = [f"--{name}" for name in given_of(self, "out", "overwrite", "preset")]
+        unread += [option(text.partition("=")[0]) for text in self.assignments]
         if unread:
-            counting = ", ".join(_as_typed(name) for name in ON_RESUMING[1:])
+            counting = ", ".join(f"--{as_typed(name)}" for name in ON_RESUMING)
             raise BadValueError(
-                f"{_as_typed(unread[0])} has no effect on a run that goes on: it trains as its own "
+                f"{unread[0]} has no effect when resuming: the run trains as its own "
                 f"{run / CONFIG_FILE} says",
                 f"Leave it out: of the options only {counting} count then. To train otherwise, begin a new "
                 "run: physhdr train DATA --out RUN",
             )
 
 
-def _as_typed(setting: str) -> str:
-    return f"--{setting.replace('_', '-')}"
+def _listed(config: TrainConfig) -> str:
+    """All settings, with what each is in ``config``, what it may be and what it means."""
+    lines = [
+        f"{f'{each.name}={as_text(each.value)}':<44} {type_in_words(each.type)}. {each.meaning}\n"
+        for each in settings_of(config)
+    ]
+    return "".join(lines)
 
 
 def _with_time_left(event: events.Event, expected: list[Duration]) -> events.Event:

@@ -12,7 +12,7 @@ from pathlib import Path
 from ...bridge.errors import OutputError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..memory import address_limit, gigabytes, is_out_of_memory
-from ..shell import as_word
+from ..shell import as_word, option
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,10 @@ def words_of(error: Exception, argv: Sequence[str] = ()) -> Words | None:
 
 
 #: What needs less memory in a training, after another remedy.
-_SMALLER = ", or train on smaller pictures (--downscale 2) or with fewer Gaussians (--backbone.budget 20000)"
+_SMALLER = (
+    f", or train on smaller pictures ({option('downscale', 2)}) "
+    f"or with fewer Gaussians ({option('backbone.budget', 20000)})"
+)
 
 
 def _what_failed(error: OSError) -> str:
@@ -76,8 +79,8 @@ def _run_in(argv: Sequence[str]) -> Path | None:
     """The folder of the run that ``train`` was to write or to go on with, where the command names one."""
     if list(argv[:1]) != ["train"]:
         return None
-    for option, value in zip(argv, [*argv[1:], ""], strict=True):
-        name, _, given = option.partition("=")
+    for word, value in zip(argv, [*argv[1:], ""], strict=True):
+        name, _, given = word.partition("=")
         if name in ("--out", "--resume"):
             return Path(given or value)
     return None

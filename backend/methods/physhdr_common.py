@@ -23,6 +23,7 @@ from ..model.backbone import Attributes, Backbone, Splats
 from ..model.radiance import AdditiveModulator, ProductComposer
 from ..model.tone_mapper import KnownResponse, Response, ToneMapper, ToneMapperConfig
 from ..scene.camera import Camera
+from ..shell import option
 from .base import (
     Batch,
     Drawn,
@@ -49,13 +50,14 @@ class PhysHDRConfig(MethodConfig):
 
     #: Draw ĉ, which light turns. Without, c is drawn, and a lighting level only scales.
     illumination_branch: bool = True
+    #: Highest degree of the spherical harmonics, 0 to 3.
     sh_degree: FromZero = 3
     tone_mapper: ToneMapperConfig = field(default_factory=ToneMapperConfig)
     loss: LossConfig = field(default_factory=LossConfig)
 
     def __post_init__(self) -> None:
         if not 0 <= self.sh_degree <= 3:
-            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+            raise BadValueError(f"{option('method.sh_degree')} must be from 0 to 3, got {self.sh_degree}")
 
     @property
     def traits(self) -> Traits:

@@ -47,13 +47,15 @@ SAMPLES, SAMPLED_RANGE = 256, (-12.0, 8.0)
 class ToneMapperConfig:
     """f_tm. The defaults are those of the preset ``default``; see docs/method.md."""
 
+    #: Width of the networks.
     hidden: Size = 64
+    #: Of the networks, between their layers.
     activation: Activation = "softplus"
-    #: Pass through the data set's anchor (a known exposure × radiance and its code value) by construction:
-    #: the absolute scale of the radiance then cannot drift. Needs a data set that names an anchor.
+    #: The response passes through the data set's anchor, a known exposure × radiance and its code value; the
+    #: absolute scale of the radiance then cannot drift. Needs a data set that names an anchor.
     anchored: bool = True
-    #: The curve at the start, to which the network learns what is missing, from zero: what brackets or points
-    #: tell of it, sRGB's where they do not (``start.response``), or a line.
+    #: The response at the start, to which the network learns what is missing; measured: what brackets or
+    #: points tell of it (``start.response``), sRGB's where they do not; line: a line.
     initial_curve: Literal["measured", "line"] = "measured"
     #: Slope of that line: of logit(LDR) over ln(exposure). ``None``: the network does not begin at zero with
     #: either, it is warm-started instead (``warm_start_steps``).

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a request asks for, checked before anything is done about it."""
 
-import dataclasses
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.limits import THREADS_MAX, whole
@@ -18,8 +17,9 @@ from ..device import DeviceName
 from ..runs.begin import Workshop, resume_run, start_run
 from ..runs.files import refuse_a_run
 from ..runs.run import Run
-from ..train.config import CONFIG_FILE, ITERATIONS_MAX, TrainConfig
-from ..train.presets import PRESETS
+from ..train.config import CONFIG_FILE, ITERATIONS_MAX
+from ..train.presets import preset_named
+from ..train.settings import with_settings
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 
 #: A run that is begun, held for as long as it is trained.
@@ -40,15 +40,13 @@ class Job:
 def new_training(request: TrainStart) -> Job:
     """The job that the request asks for; raises ``PhysHDRError`` where it cannot be begun."""
     data, out = folder_of(request.data, "data"), folder_of(request.out, "out")
-    if request.preset not in PRESETS:
-        raise BadValueError(f"there is no preset {request.preset!r}", f"Choose from: {', '.join(PRESETS)}.")
-    config = PRESETS[request.preset]
+    config = preset_named(request.preset)
     changes: dict[str, Any] = {"exposure_mode": request.exposure_mode, "seed": request.seed}
     if request.iterations is not None:
         changes["iterations"] = whole("iterations", request.iterations, 1, ITERATIONS_MAX)
     whole("seed", request.seed, 0, WHOLE_MAX)
     whole("threads", request.threads, 0, THREADS_MAX)
-    config = cast(TrainConfig, dataclasses.replace(config, **changes))
+    config = with_settings(config, changes)
     if not data.is_dir():
         raise FileMissingError(f"the data set folder {data} does not exist", "Choose another folder.")
     if not request.overwrite:

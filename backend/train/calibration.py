@@ -141,7 +141,7 @@ def use_response(method: Method, calibration: Calibration, path: str) -> None:
     if wanted != given:
         raise DataMismatchError(
             f"{path} is of another kind of response curve than this training has",
-            "Train by the preset and the --method.tone-mapper options that it was calibrated with.",
+            "Train by the preset and the method.tone_mapper settings that it was calibrated with.",
         )
     mapper.load_state_dict(response)
 

@@ -20,6 +20,7 @@ from ..methods.base import MethodConfig
 from ..methods.physhdr_common import PhysHDRConfig
 from ..methods.registry import METHODS
 from ..model.backbone import BackboneConfig
+from ..shell import option
 from ..start.initialise import Source
 from ..tables import Table
 from .backbones import BACKBONES
@@ -46,7 +47,9 @@ Switch = Literal["auto", "on", "off"]
 class TrainConfig:
     """Everything that decides a run's result. Defaults are the preset ``default``."""
 
+    #: Length of the training; larger data get more unless this is given.
     iterations: Annotated[int, Bounds(1, ITERATIONS_MAX)] = 2500
+    #: Of all random numbers.
     seed: FromZero = 0
     #: exp3: a view is seen at all training exposures; exp1: at one of them, drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
@@ -60,8 +63,8 @@ class TrainConfig:
     #: Of pictures that hold radiance (OpenEXR, .hdr), by name; None: as each file says, Linear Rec.709 where
     #: none does.
     color_space: str | None = None
-    #: Start from the data set's points, from stereo between the training views, or from random ones in the
-    #: cameras' frusta; both: the data set's and, where it has none, stereo's; auto: the data set's if it has
+    #: Where Gaussians start: at the data set's points, at stereo's of the training views, or at random in the
+    #: cameras' frusta. both: the data set's and, where it has none, stereo's; auto: the data set's if it has
     #: any, else stereo's.
     initial_points: Source = "both"
     #: A PLY whose points stand for the data set's own: a file in its folder, or a whole path.
@@ -74,51 +77,48 @@ class TrainConfig:
     merged_brackets: Switch = "auto"
     #: Gaussians before a camera, nearer than anything it photographed, are removed; auto: of photographs.
     clear_cameras: Switch = "auto"
-    #: Gain, white balance and vignetting of each photo are learned beside the scene; auto: of photographs
-    #: (``Scene.photographs``), not of renders.
+    #: Gain, white balance and vignetting of each photo are learned; auto: of photographs, not of renders.
     nuisances: Switch = "auto"
-    #: Where each picture was taken from is refined beside the scene; auto: of photographs.
+    #: Where each picture was taken from is refined; auto: of photographs.
     poses: Switch = "auto"
     #: What is known of the camera, from physhdr calibrate: response and vignetting are used as they are.
     calibration: str | None = None
+    #: How many points are placed at random, where a training starts from such.
     random_points: int = 20_000
-    #: 3DGS: 0.1. Points of surfaces are opaque; less leaves time for what lies before them to hide them.
+    #: Opacity of the first Gaussians (3DGS: 0.1). Points of surfaces are opaque; less leaves time for what
+    #: lies before them to hide them.
     initial_opacity: float = 0.3
-    #: From exact points: the same across the surface that the neighbours make, over that along it (3DGS: 1,
-    #: spheres). Neighbours that are beside their surface tell nothing of how it lies.
+    #: From exact points: a Gaussian's size across its surface, over that along it (3DGS: 1, spheres).
+    #: Neighbours that are beside their surface tell nothing of how it lies.
     initial_thickness: float = 0.3
-    #: Beside points of structure from motion none begins larger (standard deviation) than this share of the
-    #: width of any picture that it is in: one that has no neighbours would be a fog before the cameras, or
-    #: all of what is behind a window. 0: no bound (3DGS).
+    #: From points of structure from motion: no Gaussian starts larger than this share of a picture's width.
+    #: It is the standard deviation, in any picture that it is in: one that has no neighbours would be a fog
+    #: before the cameras, or all of what is behind a window. 0: no bound (3DGS).
     initial_size_limit: float = 0.1
     #: Share of the training at whose start views are seen at half their width and height.
     half_size_until: float = 0.1
     #: The SH degree rises by one after this many iterations (3DGS: 1000).
     sh_degree_every: int = 150
-    #: The length of training that steps of the schedule are given for (sh_degree_every; start, every and
-    #: reset_every of backbone): in one twice as long they are twice as long. 0: they are iterations, however
-    #: long it is.
+    #: The length of training that steps of the schedule are given for; 0: they are iterations, however long
+    #: it is. These are sh_degree_every, and start, every and reset_every of backbone: in a training twice as
+    #: long they are twice as long.
     schedule_for: FromZero = 0
     method: MethodConfig = field(default_factory=PhysHDRConfig)
     backbone: BackboneConfig = field(default_factory=GaussiansConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
 
     def __post_init__(self) -> None:
-        if not self.training_exposures or min(self.training_exposures) < 0:
-            raise BadValueError(
-                f"--training-exposures must be indices of a bracket, got {list(self.training_exposures)}",
-                "For example 0 2 4.",
-            )
-        if not 0.0 < self.initial_opacity < 1.0:
-            raise BadValueError(f"--initial-opacity must be between 0 and 1, got {self.initial_opacity}")
-        if not 0.0 < self.initial_thickness <= 1.0:
-            raise BadValueError(
-                f"--initial-thickness must be above 0 and at most 1, got {self.initial_thickness}"
-            )
-        if not self.initial_size_limit >= 0.0:
-            raise BadValueError(f"--initial-size-limit must be 0 or more, got {self.initial_size_limit}")
+        seen = self.training_exposures
+        self._require("training_exposures", min(seen, default=-1) >= 0, "indices of a bracket, such as 0 2 4")
+        self._require("initial_opacity", 0.0 < self.initial_opacity < 1.0, "between 0 and 1")
+        self._require("initial_thickness", 0.0 < self.initial_thickness <= 1.0, "above 0 and at most 1")
+        self._require("initial_size_limit", self.initial_size_limit >= 0.0, "0 or more")
         _check_numbers(self, "")
         self._check_traits()
+
+    def _require(self, name: str, holds: bool, may_be: str) -> None:
+        if not holds:
+            raise BadValueError(f"{option(name)} must be {may_be}, got {getattr(self, name)}")
 
     def _check_traits(self) -> None:
         """Raises ``BadValueError`` for a schedule that the method cannot follow."""
@@ -128,12 +128,12 @@ class TrainConfig:
             raise BadValueError(
                 f"{name}, with these settings, draws a view anew for each exposure: a bracket cannot be "
                 "compared at once",
-                "Set --supervision one.",
+                f"Give {option('supervision', 'one')}.",
             )
         if self.half_size_until > 0.0 and not traits.half_sizes:
             raise BadValueError(
                 f"{name}, with these settings, cannot learn from views at half their size",
-                "Set --half-size-until 0.",
+                f"Give {option('half_size_until', 0)}.",
             )
 
 
@@ -161,14 +161,9 @@ def _check_numbers(config: Any, where: str) -> None:
         if dataclasses.is_dataclass(value):
             _check_numbers(value, f"{name}.")
         elif type(value) is int and not least <= value <= most:
-            raise BadValueError(f"{_flag(name)} must be from {least} to {most}, got {value}")
+            raise BadValueError(f"{option(name)} must be from {least} to {most}, got {value}")
         elif isinstance(value, float) and not abs(value) <= LARGEST_NUMBER:
-            raise BadValueError(f"{_flag(name)} must be a number up to {LARGEST_NUMBER:g}, got {value}")
-
-
-def _flag(name: str) -> str:
-    """``backbone.prune_scale`` → ``--backbone.prune-scale``."""
-    return "--" + name.replace("_", "-")
+            raise BadValueError(f"{option(name)} must be a number up to {LARGEST_NUMBER:g}, got {value}")
 
 
 class RunConfig(NamedTuple):

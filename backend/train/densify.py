@@ -183,9 +183,9 @@ def _none_left(iteration: int, count: int, oversized: int, limit: float) -> NoGa
         f"pruning after iteration {iteration} would remove all {count:,} Gaussians: {oversized:,} as larger "
         f"than {limit:.2g} m, {count - oversized:,} as nearly transparent or where nothing was photographed",
         "That size is a share of how far apart the cameras stand, next to nothing where they only turn: "
-        "train again with --backbone.reset-every 0, as the preset default has it, or with a larger "
-        "--backbone.prune-scale; where they are transparent, with a smaller --backbone.prune-opacity. "
-        "What was saved before is untouched.",
+        "train again with --set backbone.reset_every=0, as the preset default has it, or with a larger "
+        "--set backbone.prune_scale; where they are transparent, with a smaller "
+        "--set backbone.prune_opacity. What was saved before is untouched.",
     )
 
 

@@ -19,6 +19,7 @@ from ..scene.encoding import CAMERA
 from ..scene.points import with_points_file
 from ..scene.resident import picture_room_on
 from ..scene.scene import Scene, View
+from ..shell import option
 from ..start.initialise import most_of_stereo
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig, in_iterations
@@ -264,7 +265,7 @@ def _remedies(
         most = sizes.most + int((there.bytes - total(sizes)) / each)
         most -= most % 1000
         if most >= max(sizes.first, FEWEST_GAUSSIANS):
-            found.append(f"Train fewer Gaussians: --backbone.budget {most}.")
+            found.append(f"Train fewer Gaussians: {option('backbone.budget', most)}.")
     return found or [
         "Train on smaller pictures (--downscale) and with fewer Gaussians, or on another machine."
     ]

@@ -24,18 +24,29 @@ class OptimiserConfig:
     (measured: lab/notebook.md). ``STOCK_3DGS`` are 3DGS's own.
     """
 
+    #: Rate of positions at the start.
     means: float = 1.6e-4
+    #: Rate of positions at the end.
     means_final: float = 1.6e-6
+    #: Rate of sizes.
     log_scales: float = 1e-2
+    #: Rate of rotations.
     quaternions: float = 4e-3
+    #: Rate of opacities.
     opacity_logits: float = 5e-2
+    #: Rate of mean colours.
     reflectance_dc: float = 1e-2
+    #: Rate of the other colour coefficients.
     reflectance_rest: float = 1e-3
+    #: Rate of L_a.
     log_illumination: float = 2.5e-3
+    #: Rate of each light's share.
     light_share_logits: float = 5e-2
+    #: Rate of the features that local curves see.
     context: float = 2.5e-3
-    #: g and φ (the paper: 6e-5), f (the paper: 2e-4).
+    #: Rate of g and φ (the paper: 6e-5).
     radiance_networks: float = 6e-5
+    #: Rate of the response f (the paper: 2e-4).
     tone_mapper: float = 2e-4
     #: All networks of the method learn so many times faster, for trainings much shorter than they were
     #: published for.

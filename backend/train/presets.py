@@ -5,6 +5,7 @@ import functools
 import operator
 from typing import Any
 
+from ...bridge.errors import BadValueError
 from ..kernels.ahead import Needs
 from ..methods.losses import LossConfig
 from ..methods.physhdr_common import PhysHDRConfig
@@ -63,6 +64,14 @@ PRESETS: Table[TrainConfig] = Table(
         "baseline": baseline(),
     },
 )
+
+
+def preset_named(name: str) -> TrainConfig:
+    """The preset's configuration; raises ``BadValueError`` naming those that there are."""
+    if name not in PRESETS:
+        raise BadValueError(f"there is no preset '{name}'", f"Choose from: {', '.join(PRESETS)}.")
+    return PRESETS[name]
+
 
 #: Channels that are drawn by some setting or other: radiance; with its ambient part, context or depth; all.
 CHANNELS = (3, 4, 6, 7, 10)

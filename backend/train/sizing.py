@@ -18,6 +18,7 @@ from ..evaluate.results import OBSERVED, OBSERVED_EXPOSURES, part_of
 from ..scene.points import with_points_file
 from ..scene.scene import Scene, View
 from .config import TrainConfig
+from .settings import with_settings
 from .views import training_views
 
 #: Pixels of a view for which the presets' numbers are; fewer change nothing.
@@ -103,10 +104,7 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
         if extent.detail > 1.0:
             more = changes["backbone.budget"] / budget
             changes["random_points"] = _whole(config.random_points * more, 1000)
-    for name, value in changes.items():
-        if name not in typed:
-            config = _with(config, name, value)
-    return config
+    return with_settings(config, {name: value for name, value in changes.items() if name not in typed})
 
 
 def budget_of(config: TrainConfig) -> int:
@@ -162,11 +160,3 @@ def _half_size_until(extent: Extent, config: TrainConfig) -> float:
 
 def _whole(value: float, step: int) -> int:
     return step * round(value / step)
-
-
-def _with(config: Any, name: str, value: Any) -> Any:
-    """``config`` with the setting ``name``, which may be one of a part of it."""
-    first, _, rest = name.partition(".")
-    if rest:
-        value = _with(getattr(config, first), rest, value)
-    return dataclasses.replace(config, **{first: value})

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ..model.tone_mapper import ToneMapper
+from ..shell import option
 from .beginning import lie_on_surfaces, may_have_strays
 from .config import TrainConfig
 from .optimisers import OptimiserConfig
@@ -31,10 +32,10 @@ OF_SPLATS = (
 
 
 def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
-    """Options as ``physhdr train`` names them, that are not the preset's and that ``trainer`` never reads."""
+    """Settings, as they are typed, that are not the preset's and that ``trainer`` never reads."""
     unread = _unread(trainer)
     return [
-        f"--{name.replace('_', '-')}"
+        option(name)
         for name in _differences(trainer.config, preset)
         if name in unread or name.partition(".")[0] in unread
     ]

@@ -75,7 +75,7 @@ class Anchors(Backbone):
         if attributes.direction_gradient:
             raise BadValueError(
                 "anchors never move, so that nothing could follow the gradient of the direction to them",
-                "Leave out --method.direction-gradient, or take a preset without '-scaffold'.",
+                "Leave out --set method.direction_gradient, or take a preset without '-scaffold'.",
             )
         self.config, self.attributes = config, attributes
         self.parameters: dict[str, torch.Tensor] = {}
@@ -338,8 +338,8 @@ def _neighbour_distance(points: np.ndarray) -> np.ndarray:
     if len(points) < 4:
         raise BadValueError(
             f"{len(points)} initial points or cells are too few to start from",
-            "Give the data set a points3d.ply with more points, lower --backbone.voxel-size, or train with "
-            "--initial-points random.",
+            "Give the data set a points3d.ply with more points, lower --set backbone.voxel_size, or train "
+            "with --initial-points random.",
         )
     from scipy.spatial import KDTree  # here, because only this needs SciPy
 

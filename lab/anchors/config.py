@@ -25,16 +25,24 @@ class AnchorRates:
 
     #: Times the scene's extent.
     offsets: float = 0.01
+    #: The same at the end.
     offsets_final: float = 1e-4
+    #: Of anchors' features.
     features: float = 0.0075
+    #: Of anchors' sizes.
     log_scaling: float = 0.007
     #: Ours; as 3DGS's constant coefficient, in ln radiance.
     base_log_radiance: float = 0.0025
+    #: Of the network for opacities.
     opacity: float = 0.002
+    #: The same at the end.
     opacity_final: float = 2e-5
+    #: Of the network for sizes and rotations.
     covariance: float = 0.004
-    #: Also of the heads that Scaffold-GS does not have: illumination, shares of light, context.
+    #: Of the network for colours. Also of the heads that Scaffold-GS does not have: illumination, shares of
+    #: light, context.
     colour: float = 0.008
+    #: The same at the end.
     colour_final: float = 5e-5
 
     def __post_init__(self) -> None:
@@ -85,7 +93,9 @@ class AnchorsConfig(BackboneConfig):
 
     #: k: Gaussians of an anchor.
     offsets: Size = 10
+    #: Numbers of an anchor's feature.
     feature_size: Size = 32
+    #: Width of the networks.
     hidden: Size = 32
     #: ε, metres: the unit of placement and growth. Scaffold-GS's 0.001 is in the units of each scene's own
     #: reconstruction, ours are metres: 0 takes the median distance to the neighbours over 16.
@@ -106,9 +116,11 @@ class AnchorsConfig(BackboneConfig):
     stop: float = 0.5
     #: τ: mean norm of ∂L/∂(NDC position) of a neural Gaussian; doubled from each level to the next finer.
     threshold: float = 2e-4
-    #: Cells of a level, in voxels: from the coarsest, each a ``refinement`` finer.
+    #: Levels at which anchors are added.
     levels: Size = 3
+    #: Cells of the coarsest level, in voxels.
     coarsest: int = 16
+    #: How many times finer the cells of each next level are.
     refinement: int = 4
     #: A Gaussian counts when it was drawn in half of this share of ``every`` iterations; an anchor is judged
     #: after it was seen in all of it.

@@ -183,7 +183,7 @@ def grow_and_prune(
     if not len(source):
         raise NoGaussiansLeftError(
             f"pruning would remove all {count:,} anchors: what they draw is nearly transparent",
-            "Train again with a smaller --backbone.prune-opacity. What was saved before is untouched.",
+            "Train again with a smaller --set backbone.prune_opacity. What was saved before is untouched.",
         )
     positions = torch.cat([anchors.positions.detach()[~pruned], new.positions])
     order = morton_order(positions)

@@ -2,7 +2,7 @@
 """What a benchmark runs: ``plan.toml``, or the same from flags; kept in the benchmark's folder.
 
 kind = "report"                                           # or "tune": choices are made on validation views
-methods = ["default", "baseline", "dim := default --backbone.threshold 4e-4"]
+methods = ["default", "baseline", "dim := default backbone.threshold=4e-4"]
 scenes = ["../data/demo", "night=../data/bathroom"]      # beside the file, or absolute
 settings = ["exp3", "exp1"]
 seeds = [0, 1, 2]
@@ -31,6 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...backend.shell import option
 from ...bridge import data_set
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
@@ -48,41 +49,39 @@ PLACEHOLDERS = ("scene", "setting", "seed", "budget")
 #: Names become folders, on any system: Windows drops a last dot, and has devices of these names.
 NAME = re.compile(r"[A-Za-z0-9†+_](?:[A-Za-z0-9†+_.-]*[A-Za-z0-9†+_-])?")
 DEVICE = re.compile(r"(?:con|prn|aux|nul|(?:com|lpt)[0-9])(?:\..*)?", re.IGNORECASE)
-#: Options that the benchmark itself sets for each run.
-OURS = ("--iterations", "--seed", "--exposure-mode", "--preset", "--out", "--data", "--resume", "--threads")
+#: Settings that the benchmark itself sets for each run.
+OURS = ("iterations", "seed", "exposure_mode")
+#: Settings of how pictures are read: options of ``physhdr evaluate``, too.
+OF_PICTURES = ("downscale", "color_space")
 
 
 @dataclass(frozen=True)
 class Method:
-    """A preset under a name, with options of ``physhdr train`` on top; or pictures of another program.
+    """A preset under a name, with settings on top (``NAME=VALUE``); or pictures of another program.
 
     ``pictures``: the folder of each run's, with ``PLACEHOLDERS`` in its name; empty where we train it.
     """
 
     name: str
     preset: str
-    options: tuple[str, ...] = ()
+    assignments: tuple[str, ...] = ()
     pictures: str = ""
 
     @classmethod
     def parsed(cls, text: str) -> "Method":
-        """``default``, or ``NAME := PRESET --option value``."""
+        """``default``, or ``NAME := PRESET setting=value``."""
         name, defines, rest = text.partition(":=")
         name = _name(name.strip(), "method")
         try:
-            preset, *options = _words(rest) if defines else [name]
+            preset, *assignments = _words(rest) if defines else [name]
         except ValueError as error:
             raise BadValueError(
                 f"the method '{text}' cannot be read: {error}",
-                "For example: dim := default --backbone.stop 0.3",
+                "For example: dim := default backbone.stop=0.3",
             ) from error
-        for word in options:
-            if word.partition("=")[0] in OURS:
-                raise BadValueError(
-                    f"the method '{name}' sets {word}",
-                    "The plan says that for all methods alike: leave it out.",
-                )
-        return cls(name, preset, tuple(options))
+        for word in assignments:
+            _require_assignment(word, f"the method '{name}' sets {word}")
+        return cls(name, preset, tuple(assignments))
 
     @classmethod
     def external(cls, content: Any, beside: Path) -> "Method":
@@ -116,9 +115,9 @@ class Method:
         return Path(folder)
 
     def __str__(self) -> str:
-        if self.pictures or (not self.options and self.name == self.preset):
+        if self.pictures or (not self.assignments and self.name == self.preset):
             return self.name
-        return f"{self.name} := {shlex.join([self.preset, *self.options])}"
+        return f"{self.name} := {shlex.join([self.preset, *self.assignments])}"
 
 
 @dataclass(frozen=True)
@@ -185,9 +184,9 @@ class Ladder:
 class Plan:
     """Everything that decides what is run and told. Names are unique in each list, and no list is empty.
 
-    ``assignments``: of ``--set``, for every method; ``options``: the words for ``physhdr train`` they become.
-    ``note``: a paragraph in Markdown for the top of the report. ``kind``: ``tune``, which sees no test view,
-    or ``report``. ``open_sealed``: whether a report may have sealed scenes.
+    ``assignments``: of ``--set``, for every method. ``note``: a paragraph in Markdown for the top of the
+    report. ``kind``: ``tune``, which sees no test view, or ``report``. ``open_sealed``: whether a report may
+    have sealed scenes.
     """
 
     methods: tuple[Method, ...]
@@ -209,7 +208,7 @@ class Plan:
         if self.kind not in KINDS:
             raise BadValueError(f"there is no kind of plan '{self.kind}'", f"Choose from {', '.join(KINDS)}.")
         names = [method.name for method in self.methods]
-        _require_unique("method", names, "Name a variant: NAME := PRESET --option value.")
+        _require_unique("method", names, "Name a variant: NAME := PRESET setting=value.")
         _require_unique("scene", [scene.name for scene in self.scenes], "Name one: NAME=FOLDER.")
         _require_unique("setting", self.settings, "Choose from exp1, exp3.")
         _require_unique("seed", self.seeds, "For example 0,1,2.")
@@ -217,7 +216,7 @@ class Plan:
         if unknown := [setting for setting in self.settings if setting not in SETTINGS]:
             raise BadValueError(f"there is no setting '{unknown[0]}'", "Choose from exp1, exp3.")
         whole("--threads-per-job", self.threads_per_job, 1, THREADS_MAX)
-        _ = self.options, self.reading  # these raise where an assignment cannot be used
+        _ = self.reading  # raises where a size is no number
         steps = [step for ladder in self.ladders for step in ladder.steps]
         for name in [*self.margins_of, *steps]:
             if name not in names:
@@ -243,8 +242,8 @@ class Plan:
     @property
     def words_of_pictures(self) -> tuple[str, ...]:
         """What ``physhdr evaluate --pictures`` is told so that it evaluates at the size of all runs."""
-        each = [option_words(text) for text in self.assignments]
-        return tuple(word for words in each if words[0] in ("--downscale", "--color-space") for word in words)
+        values = self._values
+        return tuple(word for name in OF_PICTURES if name in values for word in (option(name), values[name]))
 
     @property
     def reading(self) -> tuple[float | None, str | None]:
@@ -252,53 +251,59 @@ class Plan:
 
         Raises ``BadValueError`` where the first is no number.
         """
-        told = {words[0]: " ".join(words[1:]) for words in map(option_words, self.assignments)}
-        downscale, color_space = (told.get(name, "None") for name in ("--downscale", "--color-space"))
+        downscale, color_space = (self._values.get(name, "none") for name in OF_PICTURES)
         try:
-            smaller = None if downscale == "None" else float(downscale)
+            smaller = None if downscale == "none" else float(downscale)
         except ValueError as error:
             raise BadValueError(
                 f"--set downscale={downscale}: that is not a number", "downscale=2"
             ) from error
-        return smaller, None if color_space == "None" else color_space
+        return smaller, None if color_space == "none" else color_space
+
+    @property
+    def _values(self) -> dict[str, str]:
+        """What is assigned for every method, as it is written, by setting."""
+        return {setting_in(text): text.partition("=")[2].strip() for text in self.assignments}
 
     @property
     def split(self) -> str:
         """The views that runs are evaluated on."""
         return data_set.VALIDATION if self.kind == TUNE else data_set.TEST
 
-    @property
-    def options(self) -> tuple[str, ...]:
-        return tuple(word for text in self.assignments for word in option_words(text))
+    def settings_of(self, method: Method) -> tuple[str, ...]:
+        """``NAME=VALUE`` of a method, whatever the run."""
+        return (*self.assignments, *method.assignments)
 
     def words_of(self, method: Method) -> tuple[str, ...]:
-        """What ``physhdr train`` is told of a method, whatever the run."""
-        return ("--preset", method.preset, *self.options, *method.options)
+        """The options of ``physhdr train`` for a method, whatever the run."""
+        settings = self.settings_of(method)
+        return ("--preset", method.preset, *(word for each in settings for word in ("--set", each)))
 
 
-def option_words(assignment: str) -> tuple[str, ...]:
-    """``backbone.budget=3`` → ``--backbone.budget 3``; ``a.b=false`` → ``--a.no-b``; a list has spaces, and
-    quotes keep a value with spaces together.
+def setting_in(assignment: str) -> str:
+    """The name in ``NAME=VALUE``."""
+    return assignment.partition("=")[0].strip()
 
-    Raises ``BadValueError`` for what is no assignment, and for fields that the plan sets itself.
-    """
-    name, equals, value = assignment.partition("=")
-    name = name.strip().removeprefix("--").replace("_", "-")
-    if not equals or not name or f"--{name}" in OURS:
+
+def _require_assignment(text: str, what: str) -> None:
+    """Raises ``BadValueError``, which begins with ``what``, for all but ``NAME=VALUE`` of a method."""
+    if "=" not in text or not setting_in(text) or setting_in(text) in OURS:
         raise BadValueError(
-            f"--set {assignment} cannot be used",
-            "It takes FIELD=VALUE, of a field that the plan does not set itself: downscale=2",
+            what, f"It takes NAME=VALUE, such as downscale=2; the plan itself says {', '.join(OURS)}."
         )
-    if value.strip().lower() == "true":
-        return (f"--{name}",)
-    if value.strip().lower() == "false":
-        group, dot, field = name.rpartition(".")
-        return (f"--{group}{dot}no-{field}",)
+
+
+def _assignment(text: str) -> str:
+    """``NAME=VALUE`` for every method, in which quotes keep a value with spaces together.
+
+    Raises ``BadValueError`` as ``_require_assignment``, and for a quote that is left open.
+    """
+    _require_assignment(text, f"--set {text} cannot be used")
     try:
-        return (f"--{name}", *_words(value))
+        return " ".join(_words(text))
     except ValueError as error:
         raise BadValueError(
-            f"--set {assignment} cannot be read: {error}", "Close the quotes, or put others around them."
+            f"--set {text} cannot be read: {error}", "Close the quotes, or put others around them."
         ) from error
 
 
@@ -322,7 +327,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "settings": ("settings", lambda value, _: tuple(_texts(value))),
     "seeds": ("seeds", lambda value, _: tuple(_whole(each) for each in value)),
     "budgets": ("budgets", lambda value, _: tuple(Budget.parsed(text) for text in _texts(value))),
-    "set": ("assignments", lambda value, _: tuple(_texts(value))),
+    "set": ("assignments", lambda value, _: tuple(map(_assignment, _texts(value)))),
     "threads_per_job": ("threads_per_job", lambda value, _: _whole(value)),
     "device": ("device", lambda value, _: str(value)),
     "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),

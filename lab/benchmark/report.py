@@ -118,7 +118,7 @@ def to_csv(finished: Sequence[Finished]) -> str:
     for each in finished:
         run, record = each.run, each.record
         line: list[object] = [run.budget, run.setting, run.scene.name, run.method.name, run.method.preset]
-        line += [" ".join(run.method.options), run.seed, each.entry.evaluation["conditions"]["split"]]
+        line += [" ".join(run.method.assignments), run.seed, each.entry.evaluation["conditions"]["split"]]
         line += ["" if (value := one.value(each.entry)) is None else value for one in columns]
         costs = [record.cpu_seconds, record.seconds, record.iterations, each.gaussians]
         line += ["" if value is None else value for value in costs]

@@ -31,6 +31,7 @@ from ...backend.model.rates import Rate
 from ...backend.model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
 from ...backend.rasterize import Rasterization
 from ...backend.scene.camera import Camera
+from ...backend.shell import option
 from ...bridge.errors import BadValueError
 
 #: Of the tone mapper with its uncertainty.
@@ -43,6 +44,7 @@ class GaussHDRConfig(MethodConfig):
 
     name: ClassVar[str] = "gausshdr"
 
+    #: Highest degree of the spherical harmonics, 0 to 3.
     sh_degree: FromZero = 3
     #: Softplus bends the global curve: by a remark in their code better for synthetic scenes on 3DGS; they
     #: use ReLU elsewhere. The local curves and the uncertainty are always of ReLU.
@@ -74,10 +76,10 @@ class GaussHDRConfig(MethodConfig):
         if not self.tone_mapper.local:
             raise BadValueError(
                 "GaussHDR has local curves",
-                "Leave --method.tone-mapper.local on.",
+                "Leave method.tone_mapper.local true.",
             )
         if not 0 <= self.sh_degree <= 3:
-            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+            raise BadValueError(f"{option('method.sh_degree')} must be from 0 to 3, got {self.sh_degree}")
         if self.least_uncertainty <= 0.0:
             raise BadValueError(f"the least uncertainty must be above 0, got {self.least_uncertainty}")
 

@@ -40,6 +40,7 @@ from ...backend.model.tone_mapper import ToneMapper, ToneMapperConfig
 from ...backend.rasterize import Rasterization
 from ...backend.scene.camera import Camera
 from ...backend.scene.source import exr_rec709
+from ...backend.shell import option
 from ...bridge.data_set import truth_file
 from ...bridge.errors import BadValueError, FileMissingError
 
@@ -56,6 +57,7 @@ class HDRGSConfig(MethodConfig):
 
     name: ClassVar[str] = "hdr-gs"
 
+    #: Highest degree of the spherical harmonics, 0 to 3.
     sh_degree: FromZero = 3
     tone_mapper: ToneMapperConfig = field(
         default_factory=lambda: ToneMapperConfig(
@@ -77,14 +79,14 @@ class HDRGSConfig(MethodConfig):
     def __post_init__(self) -> None:
         if self.tone_mapper.local:
             raise BadValueError(
-                "HDR-GS has one global curve a channel", "Leave --method.tone-mapper.local off."
+                "HDR-GS has one global curve a channel", "Leave method.tone_mapper.local false."
             )
         if not 0 <= self.sh_degree <= 3:
-            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+            raise BadValueError(f"{option('method.sh_degree')} must be from 0 to 3, got {self.sh_degree}")
         if self.hdr_supervision != bool(self.hdr_truth):
             raise BadValueError(
                 "training with true HDR pictures is off unless it is asked for twice",
-                "Give both --method.hdr-supervision and --method.hdr-truth FOLDER, or neither.",
+                "Give both --set method.hdr_supervision=true --set method.hdr_truth=FOLDER, or neither.",
             )
 
     @property
@@ -202,7 +204,7 @@ def compressed_truth(folder: Path, index: int, height: int, width: int) -> torch
     if not path.is_file():
         raise FileMissingError(
             f"there is no true HDR picture {path}",
-            "Name the folder of train_hdr's EXR files by --method.hdr-truth, or leave HDR supervision off.",
+            "Name the folder of train_hdr's EXR files by --set method.hdr_truth, or leave supervision off.",
         )
     radiance = torch.from_numpy(exr_rec709(path).copy()).permute(2, 0, 1).float()
     reduced = functional.interpolate(radiance[None], (height, width), mode="area")[0]

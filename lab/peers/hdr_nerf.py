@@ -75,7 +75,7 @@ class HDRNeRFConfig(MethodConfig):
             raise BadValueError(
                 f"{self.coarse_samples} coarse samples are too few: what lies between the first and the last "
                 "says where to look",
-                "Set --method.coarse-samples to 3 or more.",
+                "Give --set method.coarse_samples=3 or more.",
             )
         self.rate()  # refuses one that cannot be
 

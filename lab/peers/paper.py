@@ -77,12 +77,12 @@ class PaperConfig(PhysHDRConfig):
         if self.tone_mapper.mix and not (self.tone_mapper.local and self.illumination_branch):
             raise BadValueError(
                 "f_mix fuses global and local images of both branches",
-                "Set --method.tone-mapper.no-mix, or leave both branches and the local curves on.",
+                "Give --set method.tone_mapper.mix=false, or leave both branches and the local curves on.",
             )
         if self.growth_gradient == "image-exposure" and not self.illumination_branch:
             raise BadValueError(
                 "one branch alone is drawn, and its gradient is all that growth can read",
-                "Leave out --method.growth-gradient, or --method.no-illumination-branch.",
+                "Leave out --set method.growth_gradient, or method.illumination_branch=false.",
             )
 
     @property

@@ -105,7 +105,7 @@ class RaySpace(nn.Module):
         near, far, seen = _depths(cameras, points, frame)
         why_not = _why_not_ndc(cameras, frame, near)
         if kind == "ndc" and why_not:
-            raise BadValueError(f"the rays cannot be in NDC: {why_not}", "Set --method.rays metric.")
+            raise BadValueError(f"the rays cannot be in NDC: {why_not}", "Give --set method.rays=metric.")
         if kind == "metric" or why_not:
             near, far, seen = _distances(cameras, points, frame)
             ends = np.concatenate([_apply(frame, np.array([c.position for c in cameras])), seen])

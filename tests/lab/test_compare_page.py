@@ -123,7 +123,7 @@ def test_the_method_trains_by_the_pages_command_and_is_evaluated(mine, tiny_data
     (line,) = re.findall(r"`(physhdr train [^`]*)`", PAGE.read_text(encoding="utf-8"))
     run = tmp_path / "run"
     words = [{"DATA": str(tiny_data), "RUN": str(run)}.get(word, word) for word in shlex.split(line)]
-    assert main([*words[1:], "--iterations", "20", "--method.dark-weight", "0.5"]) == 0
+    assert main([*words[1:], "--iterations", "20", "--set", "method.dark_weight=0.5"]) == 0
     opened = open_run(run)
     assert type(opened.method) is mine.MyMethod and opened.config.method.dark_weight == 0.5
     assert main(["evaluate", str(run)]) == 0

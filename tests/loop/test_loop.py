@@ -17,7 +17,7 @@ from physhdr.backend.scene.pictures import read_exr
 def run(data):
     folder = data.parent / "run"
     assert (
-        main(["train", str(data), "--out", str(folder), "--iterations", "300", "--sh-degree-every", "80"])
+        main(["train", str(data), "--out", str(folder), "--iterations", "300", "--set", "sh_degree_every=80"])
         == 0
     )
     assert main(["evaluate", str(folder)]) == 0

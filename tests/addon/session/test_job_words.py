@@ -82,9 +82,9 @@ def test_a_folder_that_cannot_be_trained_in_is_called_as_in_the_panel(tmp_path, 
             "Restore a copy, or train again (Start, then Replace).",
         ),
         (
-            "They turn: train again with --backbone.reset-every 0, as the preset default has it, or with a "
-            "larger --backbone.prune-scale; where they are transparent, with a smaller "
-            "--backbone.prune-opacity. It stays.",
+            "They turn: train again with --set backbone.reset_every=0, as the preset default has it, or with "
+            "a larger --set backbone.prune_scale; where they are transparent, with a smaller "
+            "--set backbone.prune_opacity. It stays.",
             "They turn: train again with Method set to Default. It stays.",
         ),
         (
@@ -98,8 +98,8 @@ def test_a_folder_that_cannot_be_trained_in_is_called_as_in_the_panel(tmp_path, 
         ),
         # What the panel has not stays, for it helps all the same, and says of what it is.
         (
-            "Train fewer Gaussians: --backbone.budget 60000.",
-            f"Train fewer Gaussians: --backbone.budget 60000. {OF_THE_COMMAND_LINE.format('train')}",
+            "Train fewer Gaussians: --set backbone.budget=60000.",
+            f"Train fewer Gaussians: --set backbone.budget=60000. {OF_THE_COMMAND_LINE.format('train')}",
         ),
     ],
 )

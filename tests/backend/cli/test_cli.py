@@ -28,7 +28,7 @@ from physhdr.bridge.ply_model import read_ply_model
 
 #: The command, in a process of its own.
 MAIN = "import sys; from physhdr.backend.cli import main; sys.exit(main())"
-SHORT = ["--iterations", "30", "--sh-degree-every", "5"]
+SHORT = ["--iterations", "30", "--set", "sh_degree_every=5"]
 
 
 @pytest.fixture(scope="module", params=["default", "fast", "paper", "baseline"])
@@ -220,14 +220,14 @@ def test_an_option_that_a_resumed_run_would_not_read_is_refused(run, tiny_data, 
     """Its own configuration is used: whoever types another number of iterations would never know."""
     for words in (
         ["--iterations", "60"],
-        ["--backbone.budget=9"],
-        ["--method.loss.unit-weight", "1"],
+        ["--set", "backbone.budget=9"],
+        ["--set", "method.loss.unit_weight=1"],
         ["--preset", "paper"],
         ["--out", str(run)],
         ["--overwrite"],
     ):
         message = fails(capsys, "train", "--resume", run, "--threads", "1", *words)
-        option = words[0].partition("=")[0]
+        option = " ".join(words[:2]).partition("=")[0] if words[0] == "--set" else words[0]
         assert f"{option} has no effect" in message and "--checkpoint-seconds count" in message
     read = ["--rasteriser", "cpu", "--device", "cpu", "--threads", "1", "--checkpoint_seconds", "9"]
     assert main(["train", "--resume", str(run), *read, "--", str(tiny_data)]) == 0
@@ -264,7 +264,7 @@ def test_bad_input_is_one_clear_message(tiny_data, tmp_path, capsys):
     assert "empty" in fails(capsys, "train", tmp_path / "empty", "--out", out)
     assert "'nonsense'" in fails(capsys, *train, "--preset", "nonsense")
     assert "--out" in fails(capsys, "train", tiny_data)
-    assert "f_mix" in fails(capsys, *train, "--preset", "paper", "--method.tone-mapper.no-local")
+    assert "f_mix" in fails(capsys, *train, "--preset", "paper", "--set", "method.tone_mapper.local=false")
     assert "iterations" in fails(capsys, *train, "--iterations", "0")
     (tmp_path / "file").touch()
     assert "cannot write" in fails(capsys, "train", tiny_data, "--out", tmp_path / "file" / "run")

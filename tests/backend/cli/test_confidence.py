@@ -25,7 +25,7 @@ from physhdr.bridge.ply_model import read_ply_model
 @pytest.fixture(scope="module")
 def run(tiny_data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "fast"
-    words = ["--preset", "fast", "--iterations", "60", "--sh-degree-every", "10"]
+    words = ["--preset", "fast", "--iterations", "60", "--set", "sh_degree_every=10"]
     assert main(["train", str(tiny_data), "--out", str(folder), *words]) == 0
     return folder
 

@@ -146,7 +146,7 @@ def test_against_a_run_it_is_not_found_again_what_its_file_says(opened, tmp_path
 def trained(tiny_data: Path, tmp_path_factory) -> Path:
     """A short training and, in ``theirs/`` beside it, its pictures of the test views."""
     run = tmp_path_factory.mktemp("trained") / "run"
-    words = ["--iterations", "30", "--sh-degree-every", "5"]
+    words = ["--iterations", "30", "--set", "sh_degree_every=5"]
     assert main(["train", str(tiny_data), "--out", str(run), *words]) == 0
     assert main(["render", str(run), "--split", "test", "--out", str(run.parent / "theirs")]) == 0
     assert main(["evaluate", str(run)]) == 0

@@ -57,8 +57,8 @@ def photographs(tmp_path_factory, layouts):
         "fast",
         "--initial-points",
         "random",
-        "--random-points",
-        "200",
+        "--set",
+        "random_points=200",
     ]
     assert main(["train", str(data), "--out", str(folder / "run"), *options]) == 0
     return folder / "run"

@@ -32,7 +32,7 @@ FIXTURE = Path(__file__).resolve().parents[2] / "fixtures" / "layers.exr"
 @pytest.fixture(scope="module")
 def run(two_lights_data: Path, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "two"
-    short = ["--iterations", "30", "--sh-degree-every", "5", "--preset", "default"]
+    short = ["--iterations", "30", "--set", "sh_degree_every=5", "--preset", "default"]
     assert main(["train", str(two_lights_data), "--out", str(folder), *short]) == 0
     return folder
 

@@ -19,7 +19,7 @@ WIDTH = 64
 
 
 def trained(preset: str, data: Path, folder: Path, iterations: int = 30) -> Path:
-    short = ["--iterations", str(iterations), "--sh-degree-every", "5"]
+    short = ["--iterations", str(iterations), "--set", "sh_degree_every=5"]
     assert main(["train", str(data), "--out", str(folder), "--preset", preset, *short]) == 0
     return folder
 

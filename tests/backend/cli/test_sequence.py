@@ -28,7 +28,7 @@ from physhdr.bridge.shots import Shot, Shots, write_shots
 @pytest.fixture(scope="module")
 def run(two_lights_data: Path, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "two"
-    short = ["--iterations", "20", "--sh-degree-every", "5", "--preset", "fast"]
+    short = ["--iterations", "20", "--set", "sh_degree_every=5", "--preset", "fast"]
     assert main(["train", str(two_lights_data), "--out", str(folder), *short]) == 0
     return folder
 

@@ -20,7 +20,7 @@ from physhdr.backend.runs.files import remove_results, writable_folder
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.errors import OutputError
 
-SHORT = ["--iterations", "12", "--sh-degree-every", "5"]
+SHORT = ["--iterations", "12", "--set", "sh_degree_every=5"]
 CHECKPOINT = "checkpoint.safetensors"
 
 

@@ -18,7 +18,7 @@ from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer, learned_of_photographs
 from physhdr.bridge.run_folder import CAMERAS_FILE, CHECKPOINT_FILE
 
-SHORT = ["--iterations", "16", "--sh-degree-every", "5"]
+SHORT = ["--iterations", "16", "--set", "sh_degree_every=5"]
 
 
 @pytest.fixture(scope="module")

@@ -227,7 +227,7 @@ def runs(whole_run, tiny_data, tmp_path_factory):
         folders[preset] = tmp_path_factory.mktemp(preset)
         command = ["train", str(tiny_data), "--out", str(folders[preset]), "--preset", preset]
         if hasattr(PRESETS[preset].method, "tone_mapper"):
-            command += ["--method.tone-mapper.warm-start-steps", "0"]
+            command += ["--set", "method.tone_mapper.warm_start_steps=0"]
         assert main([*command, "--iterations", "12"]) == 0
     return folders
 

@@ -105,7 +105,7 @@ def test_where_none_would_be_left_it_says_so_and_changes_nothing():
         NoGaussiansLeftError, match=r"all 8 Gaussians: 5 as larger than 0\.1 m, 3 as "
     ) as error:
         control(method, optimiser, [0.0] * 8, reset_every=1, iteration=2)
-    assert "--backbone.reset-every 0" in error.value.hint
+    assert "--set backbone.reset_every=0" in error.value.hint
     for name, tensor in method.gaussians.parameters.items():
         assert torch.equal(tensor, before[name])
     control(method, optimiser, [0.0] * 8, reset_every=0, iteration=2)  # as the hint says

@@ -9,7 +9,6 @@ import sys
 
 import pytest
 import torch
-import tyro
 
 from physhdr.backend import memory as rooms
 from physhdr.backend.memory import LEAST_OF_PICTURES, NotEnoughMemoryError, Room, picture_room
@@ -20,11 +19,10 @@ from physhdr.backend.train import memory
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.memory import check_memory, estimate, sizes_of
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.settings import assigned, with_settings
 from physhdr.backend.train.targets import TARGET_BYTES
 
 CPU = torch.device("cpu")
-#: As the command line reads a preset's options.
-AS_A_COMMAND = tyro.conf.AvoidSubcommands[TrainConfig]
 
 #: Trains in a process of its own, whose peak is its own too; prints what was estimated and what it was.
 TRAINING = """
@@ -96,9 +94,10 @@ def test_a_line_says_what_a_training_takes_and_what_is_free(monkeypatch, scene):
     assert needed.total == needed.program + needed.pictures + needed.gaussians + larger
 
 
-def options_of(error: NotEnoughMemoryError) -> list[list[str]]:
-    """The options that a refusal names, each with its value."""
-    return [list(found) for found in re.findall(r"(--[\w.-]+) (\d+)", error.hint)]
+def settings_in(error: NotEnoughMemoryError) -> list[str]:
+    """The settings that a refusal names, each with its value."""
+    found = re.findall(r"--set ([\w.]+=\d+)|--(downscale) (\d+)", error.hint)
+    return [assignment or f"{name}={value}" for assignment, name, value in found]
 
 
 @pytest.mark.parametrize("preset", ["default", "paper", "default-scaffold", "gausshdr"])
@@ -109,10 +108,10 @@ def test_what_cannot_fit_is_refused_with_options_of_which_each_makes_it_fit(monk
     with pytest.raises(NotEnoughMemoryError, match=r"1,000,000 Gaussians.*1\.5 GB are free") as refused:
         check_memory(read_scene(tiny_data), config, CPU, lambda _: None)
     assert refused.value.code == "not_enough_memory" and "Close other programs" in refused.value.hint
-    found = options_of(refused.value)
+    found = settings_in(refused.value)
     assert found
-    for option in found:
-        changed = tyro.cli(AS_A_COMMAND, default=config, args=option)
+    for assignment in found:
+        changed = with_settings(config, assigned(config, [assignment]))
         check_memory(read_scene(tiny_data, changed.downscale), changed, CPU, lambda _: None)
 
 
@@ -123,7 +122,7 @@ def test_large_pictures_are_refused_with_the_size_that_fits(monkeypatch, tiny_da
     with_room(monkeypatch, 6000, "container")
     with pytest.raises(NotEnoughMemoryError, match=r"the container's limit leaves 6\.0 GB") as refused:
         check_memory(scene, PRESETS["default"], CPU, lambda _: None)
-    assert ["--downscale", "2"] in options_of(refused.value) and "container's memory" in refused.value.hint
+    assert "downscale=2" in settings_in(refused.value) and "container's memory" in refused.value.hint
 
 
 @pytest.mark.parametrize(
@@ -143,7 +142,7 @@ def test_of_a_run_that_goes_on_no_option_is_named(monkeypatch, scene):
     with_room(monkeypatch, 600, "addresses")
     with pytest.raises(NotEnoughMemoryError, match=r"ulimit -v leaves 0\.6 GB") as refused:
         check_memory(scene, PRESETS["default"], CPU, lambda _: None, resumed=True)
-    assert not options_of(refused.value) and "ulimit -v unlimited" in refused.value.hint
+    assert not settings_in(refused.value) and "ulimit -v unlimited" in refused.value.hint
 
 
 def test_growth_without_a_bound_is_told_as_a_guess(monkeypatch, scene):

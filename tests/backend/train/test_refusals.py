@@ -12,16 +12,18 @@ from physhdr.backend.cli import main
 
 #: Options → what is said of them, with the remedy.
 REFUSED = {
-    "--preset paper --supervision bracket": r"bracket[\s\S]*--supervision one",
-    "--preset gausshdr-short --supervision bracket": r"bracket[\s\S]*--supervision one",
-    "--preset hdr-gs-short --method.hdr-supervision --method.hdr-truth T": r"half their size[\s\S]*-until 0",
-    "--preset paper --method.no-illumination-branch": r"f_mix[\s\S]*no-mix",
-    "--preset default --method.sh-degree 4": "SH degree",
-    "--preset default --optimiser.tone-mapper -1": "learning rate",
-    "--preset default-scaffold --backbone.rates.colour-final -1": "learning rate",
-    "--preset paper --method.loss.blur-size 4": "odd",
-    "--preset hdr-nerf-small --method.coarse-samples 2": r"coarse samples[\s\S]*3 or more",
-    "--preset hdr-nerf-small --method.learning-rate -1": "learning rate",
+    "--preset paper --set supervision=bracket": r"bracket[\s\S]*--set supervision=one",
+    "--preset gausshdr-short --set supervision=bracket": r"bracket[\s\S]*--set supervision=one",
+    "--preset hdr-gs-short --set method.hdr_supervision=true --set method.hdr_truth=T": (
+        r"half their size[\s\S]*--set half_size_until=0"
+    ),
+    "--preset paper --set method.illumination_branch=false": r"f_mix[\s\S]*mix=false",
+    "--preset default --set method.sh_degree=4": "--set method.sh_degree must be from 0 to 3",
+    "--preset default --set optimiser.tone_mapper=-1": "learning rate",
+    "--preset default-scaffold --set backbone.rates.colour_final=-1": "learning rate",
+    "--preset paper --set method.loss.blur_size=4": "odd",
+    "--preset hdr-nerf-small --set method.coarse_samples=2": r"coarse samples[\s\S]*3 or more",
+    "--preset hdr-nerf-small --set method.learning_rate=-1": "learning rate",
 }
 
 
@@ -41,7 +43,7 @@ def test_it_is_refused_before_the_data_are_opened(options, tmp_path, capsys, mon
 @pytest.mark.parametrize("seen", ["--exposure-mode exp1", "--training-exposures 2"])
 def test_a_bracket_of_one_exposure_is_one_drawing(seen, tiny_data, tmp_path):
     """Earlier versions trained it: runs of theirs say so in their configuration."""
-    options = f"--preset gausshdr-short --supervision bracket {seen} --iterations 2"
+    options = f"--preset gausshdr-short --set supervision=bracket {seen} --iterations 2"
     assert main(["train", str(tiny_data), "--out", str(tmp_path / "run"), *options.split()]) == 0
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from physhdr.backend.cli.train import options_in
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.sizing import Extent, extent_of, found_sizes, sizes_in_words
@@ -53,8 +52,7 @@ def test_of_our_renders_at_200_pixels_every_preset_stays_what_it_is(preset, pixe
 
 def test_what_is_typed_stays_also_where_it_is_the_preset_s_own():
     preset = PRESETS["default"]
-    typed = options_in(["train", "DATA", "--iterations", "2500", "--backbone.budget=60000", "--out", "RUN"])
-    found = found_sizes(LARGE, preset, typed)
+    found = found_sizes(LARGE, preset, ("iterations", "backbone.budget"))
     assert (found.iterations, found.backbone.budget) == (2500, 60_000)
     assert found.sh_degree_every == preset.sh_degree_every  # of as many iterations
     assert found.half_size_until > preset.half_size_until  # nobody has said anything of it
@@ -70,19 +68,6 @@ def test_rates_are_for_the_length_that_the_data_call_for(preset):
     for iterations in (1, 90_000):
         typed = found_sizes(LARGE, dataclasses.replace(own, iterations=iterations), ["iterations"])
         assert (typed.iterations, typed.optimiser) == (iterations, found.optimiser)
-
-
-def test_options_are_found_as_they_may_be_written():
-    words = [
-        "--half-size-until",
-        "0",
-        "--sh_degree_every=9",
-        "--backbone.budget",
-        "5",
-        "-x",
-        "--out=--a",
-    ]
-    assert options_in(words) == ("half_size_until", "sh_degree_every", "backbone.budget", "out")
 
 
 @pytest.mark.parametrize("preset", ["paper", "gausshdr", "gausshdr-scaffold", "hdr-gs", "hdr-nerf"])

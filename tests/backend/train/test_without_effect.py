@@ -18,51 +18,53 @@ def with_tone_mapper(config, **changes):
 
 
 CHANGES = {
-    "--initial-opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
-    "--initial-thickness": lambda c: dataclasses.replace(c, initial_thickness=0.71),
-    "--initial-size-limit": lambda c: dataclasses.replace(c, initial_size_limit=0.001),
-    "--backbone.threshold": lambda c: dataclasses.replace(
+    "--set initial_opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
+    "--set initial_thickness": lambda c: dataclasses.replace(c, initial_thickness=0.71),
+    "--set initial_size_limit": lambda c: dataclasses.replace(c, initial_size_limit=0.001),
+    "--set backbone.threshold": lambda c: dataclasses.replace(
         c, backbone=dataclasses.replace(c.backbone, threshold=1.0)
     ),
-    "--backbone.budget": lambda c: dataclasses.replace(c, backbone=dataclasses.replace(c.backbone, budget=1)),
-    "--optimiser.tone-mapper": lambda c: dataclasses.replace(
+    "--set backbone.budget": lambda c: dataclasses.replace(
+        c, backbone=dataclasses.replace(c.backbone, budget=1)
+    ),
+    "--set optimiser.tone_mapper": lambda c: dataclasses.replace(
         c, optimiser=dataclasses.replace(c.optimiser, tone_mapper=1e-3)
     ),
-    "--optimiser.means-final": lambda c: dataclasses.replace(
+    "--set optimiser.means_final": lambda c: dataclasses.replace(
         c, optimiser=dataclasses.replace(c.optimiser, means_final=1e-3)
     ),
-    "--optimiser.rates-for": lambda c: dataclasses.replace(
+    "--set optimiser.rates_for": lambda c: dataclasses.replace(
         c, optimiser=dataclasses.replace(c.optimiser, rates_for=2)
     ),
-    "--method.tone-mapper.initial-slope": lambda c: with_tone_mapper(c, initial_slope=0.9),
-    "--method.tone-mapper.initial-curve": lambda c: with_tone_mapper(c, initial_curve="line"),
-    "--supervision": lambda c: dataclasses.replace(
+    "--set method.tone_mapper.initial_slope": lambda c: with_tone_mapper(c, initial_slope=0.9),
+    "--set method.tone_mapper.initial_curve": lambda c: with_tone_mapper(c, initial_curve="line"),
+    "--set supervision": lambda c: dataclasses.replace(
         c, supervision="one" if c.supervision == "bracket" else "bracket"
     ),
-    "--far-shell": lambda c: dataclasses.replace(c, far_shell="on"),
-    "--clear-cameras": lambda c: dataclasses.replace(c, clear_cameras="on"),
-    "--merged-brackets": lambda c: dataclasses.replace(c, merged_brackets="on"),
+    "--set far_shell": lambda c: dataclasses.replace(c, far_shell="on"),
+    "--set clear_cameras": lambda c: dataclasses.replace(c, clear_cameras="on"),
+    "--set merged_brackets": lambda c: dataclasses.replace(c, merged_brackets="on"),
 }
 #: Brackets tell more than a slope; its points do not say what kind they are.
-NOT_HERE = ("--method.tone-mapper.initial-slope", "--initial-size-limit", "--initial-thickness")
+NOT_HERE = ("--set method.tone_mapper.initial_slope", "--set initial_size_limit", "--set initial_thickness")
 #: What each preset reads and what it does not.
 CASES = {
-    # Nothing of this scene comes before a camera so soon: --clear-cameras is read, and finds nothing.
-    "default": (tuple(set(CHANGES) - {*NOT_HERE, "--clear-cameras"}), NOT_HERE),
+    # Nothing of this scene comes before a camera so soon: clear_cameras is read, and finds nothing.
+    "default": (tuple(set(CHANGES) - {*NOT_HERE, "--set clear_cameras"}), NOT_HERE),
     "default-scaffold": (
         # In so few iterations no anchor is added: offsets are 0 at first, in cells that have one.
-        ("--optimiser.tone-mapper", "--supervision", "--far-shell", "--merged-brackets"),
+        ("--set optimiser.tone_mapper", "--set supervision", "--set far_shell", "--set merged_brackets"),
         (
-            *("--initial-opacity", "--initial-thickness", "--optimiser.means-final"),
-            *("--optimiser.rates-for", "--clear-cameras"),
+            *("--set initial_opacity", "--set initial_thickness", "--set optimiser.means_final"),
+            *("--set optimiser.rates_for", "--set clear_cameras"),
         ),
     ),
     "gausshdr-short": (
-        ("--backbone.budget",),
-        ("--optimiser.tone-mapper", "--method.tone-mapper.initial-curve"),
+        ("--set backbone.budget",),
+        ("--set optimiser.tone_mapper", "--set method.tone_mapper.initial_curve"),
     ),
-    "hdr-gs": (("--initial-opacity",), ("--far-shell",)),
-    "hdr-nerf-small": ((), ("--supervision",)),
+    "hdr-gs": (("--set initial_opacity",), ("--set far_shell",)),
+    "hdr-nerf-small": ((), ("--set supervision",)),
 }
 
 
@@ -94,7 +96,7 @@ def test_what_is_not_read_is_named_and_changes_nothing(preset, tiny_data):
 def test_merged_brackets_are_named_where_training_sees_one_exposure_of_each_view(tiny_data):
     scene = read_scene(tiny_data)
     preset = dataclasses.replace(PRESETS["default"], initial_points="file")
-    for mode, unread in (("exp3", []), ("exp1", ["--merged-brackets"])):
+    for mode, unread in (("exp3", []), ("exp1", ["--set merged_brackets"])):
         base = dataclasses.replace(preset, exposure_mode=mode)
         trainer = Trainer(scene, dataclasses.replace(base, merged_brackets="on"))
         assert changed_without_effect(trainer, base) == unread
@@ -109,6 +111,6 @@ def test_networks_read_none_of_what_starts_splats_and_make_no_tables_of_brackets
     _, expected = trained(scene, base)
     changed = dataclasses.replace(base, far_shell="on", clear_cameras="on", merged_brackets="on")
     trainer, parameters = trained(scene, changed)
-    unread = ["--far-shell", "--merged-brackets", "--clear-cameras"]
+    unread = ["--set far_shell", "--set merged_brackets", "--set clear_cameras"]
     assert changed_without_effect(trainer, base) == unread and torch.equal(parameters, expected)
     assert trainer.merged is None

@@ -21,8 +21,9 @@ def train(words: list[str]) -> int:
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--overwrite", action="store_true")
-    for name in ("preset", "exposure-mode", "device", "strength", "downscale"):
+    for name in ("preset", "exposure-mode", "device"):
         parser.add_argument(f"--{name}", default="")
+    parser.add_argument("--set", action="append", default=[])
     for name in ("iterations", "seed", "threads"):
         parser.add_argument(f"--{name}", type=int)
     given = parser.parse_args(words)
@@ -34,7 +35,8 @@ def train(words: list[str]) -> int:
         print("it begins well\n\x1b[31merror: the flux is out of order\x1b[0m")
         return 3
     given.out.mkdir(exist_ok=True)
-    config = {"strength": given.strength, "iterations": given.iterations, "seed": given.seed}
+    settings = dict(text.split("=", 1) for text in given.set)
+    config = {"strength": settings.get("strength", ""), "iterations": given.iterations, "seed": given.seed}
     config |= {"exposure_mode": given.exposure_mode}
     if given.preset == "hdr-nerf":
         config["method"] = {"name": "hdr-nerf"}

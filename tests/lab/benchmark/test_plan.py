@@ -11,12 +11,12 @@ import pytest
 
 from physhdr.backend.cli import main
 from physhdr.bridge.errors import PhysHDRError
-from physhdr.lab.benchmark.plan import Method, make_plan, option_words, read_plan, write_plan
+from physhdr.lab.benchmark.plan import Method, make_plan, read_plan, write_plan
 from physhdr.lab.command import Benchmark, configuration
 
 ROOT = Path(__file__).parents[3]
 PLAN = """
-methods = ["default", 'bold := default --backbone.threshold 4e-4 --method.no-light "a b"']
+methods = ["default", 'bold := default backbone.threshold=4e-4 "points_file=a b"']
 scenes = ["rooms/bath", "night=rooms/bath"]
 settings = ["exp3", "exp1"]
 seeds = [0, 1]
@@ -38,19 +38,20 @@ def file(tmp_path):
 
 def test_a_plan_survives_being_written(file, tmp_path):
     plan = make_plan(read_plan(file), Path.cwd())
-    assert plan.methods[1].options == ("--backbone.threshold", "4e-4", "--method.no-light", "a b")
+    assert plan.methods[1].assignments == ("backbone.threshold=4e-4", "points_file=a b")
     assert plan.scenes[1].name == "night" and plan.scenes[1].data == tmp_path / "rooms" / "bath"
-    assert plan.options == ("--backbone.budget", "30000", "--half-size-until", "0.1")
+    assert plan.assignments == ("backbone.budget=30000", "half_size_until=0.1")
     write_plan(plan, tmp_path / "elsewhere" / "plan.toml")
     assert make_plan(read_plan(tmp_path / "elsewhere" / "plan.toml"), Path.cwd()) == plan
 
 
-def test_assignments_become_the_words_of_the_command():
-    assert option_words("training_exposures=0 2 4") == ("--training-exposures", "0", "2", "4")
-    assert option_words("method.tone_mapper.mix=false") == ("--method.tone-mapper.no-mix",)
-    assert option_words("method.tone_mapper.mix=True") == ("--method.tone-mapper.mix",)
-    assert option_words("points_file='my points.ply'") == ("--points-file", "my points.ply")
-    assert option_words(r'points_file="C:\my points\#1.ply"') == ("--points-file", r"C:\my points\#1.ply")
+def test_assignments_are_read_with_their_quotes(file):
+    texts = ["points_file='my points.ply'", r'points_file="C:\my points\#1.ply"', "training_exposures=0 2 4"]
+    plan = make_plan(read_plan(file) | {"set": texts}, Path.cwd())
+    expected = ("points_file=my points.ply", r"points_file=C:\my points\#1.ply", "training_exposures=0 2 4")
+    assert plan.assignments == expected
+    options = [word for text in expected for word in ("--set", text)]
+    assert plan.words_of(plan.methods[0]) == ("--preset", "default", *options)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_assignments_become_the_words_of_the_command():
     [
         ('"default", ', '"../x", ', "'../x' cannot be the name of a method"),
         ('"default", ', '"bold", ', "2 times the method 'bold'"),
-        ('"default", ', '"x := default --seed 3", ', "the method 'x' sets --seed"),
+        ('"default", ', '"x := default seed=3", ', "the method 'x' sets seed"),
         ('"default", ', '"Bold", ', "methods 'Bold' and 'bold' differ only in case"),
         ('"rooms/bath"', '"Night=rooms"', "scenes 'Night' and 'night' differ only in case"),
         ('"default", ', '"x. := default", ', "'x.' cannot be the name of a method"),
@@ -105,26 +106,18 @@ def test_our_plans_can_be_run(name, tmp_path):
 
 
 def test_a_method_keeps_paths_as_windows_writes_them():
-    words = (
-        "--calibration",
-        r"C:\data\night\cal.json",
-        "--points-file",
-        r"D:\my points\#1.ply",
-        "--x",
-        "it's",
-    )
-    calibration, points = r"--calibration C:\data\night\cal.json", r'--points-file "D:\my points\#1.ply"'
-    method = Method.parsed(f"""cal := default {calibration} {points} --x "it's" """)
-    assert method.options == words
+    calibration, points = r"calibration=C:\data\night\cal.json", r'points_file="D:\my points\#1.ply"'
+    method = Method.parsed(f"""cal := default {calibration} {points} x="it's" """)
+    assert method.assignments == (calibration, r"points_file=D:\my points\#1.ply", "x=it's")
     assert Method.parsed(str(method)) == method
     with pytest.raises(PhysHDRError, match="No closing quot"):
-        Method.parsed("x := default --points-file 'a b")
+        Method.parsed("x := default points_file='a b")
 
 
 def test_a_method_is_a_preset_under_its_own_name():
     assert Method.parsed("paper") == Method("paper", "paper")
     assert str(Method.parsed("paper")) == "paper"
-    assert str(Method.parsed("x:=paper --a 'b c'")) == "x := paper --a 'b c'"
+    assert str(Method.parsed("x:=paper 'a=b c'")) == "x := paper 'a=b c'"
 
 
 def test_a_plan_written_by_hand_stays_as_it_is(tiny_data, tmp_path, monkeypatch, capsys):

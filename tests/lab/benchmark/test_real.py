@@ -18,7 +18,7 @@ def command(*words):
 @pytest.mark.long
 def test_a_tiny_benchmark_on_ray_from_plan_to_report(tiny_data, tmp_path, capsys):
     out, report = tmp_path / "out", tmp_path / "report.md"
-    words = ["--methods", "short := baseline --sh-degree-every 5", "--scenes", f"tiny={tiny_data}"]
+    words = ["--methods", "short := baseline sh_degree_every=5", "--scenes", f"tiny={tiny_data}"]
     words += ["--budget", "iterations=12", "--set", "backbone.budget=500", "--out", out]
     assert command(*words, "--ray", "local", "--report", report) == 0
     folder = out / "iterations-12" / "exp3" / "tiny" / "short" / "seed_0"
@@ -37,7 +37,7 @@ def test_a_tiny_benchmark_on_ray_from_plan_to_report(tiny_data, tmp_path, capsys
 
 
 def test_the_configuration_is_what_the_words_come_to(tiny_data):
-    content = {"methods": ["default", "x := paper --backbone.stop 0.25"], "scenes": [str(tiny_data)]}
+    content = {"methods": ["default", "x := paper backbone.stop=0.25"], "scenes": [str(tiny_data)]}
     content |= {"budgets": ["iterations=5"], "set": ["method.tone_mapper.local=true"]}
     plan = make_plan(content, tiny_data)
     config = configuration(plan, "x")
@@ -51,10 +51,10 @@ def test_the_configuration_is_what_the_words_come_to(tiny_data):
     [
         ("nobody", "no preset 'nobody'"),
         (
-            "x := default --backbone.nothing 3",
-            "options of the method 'x' are not understood.*backbone.nothing",
+            "x := default backbone.nothing=3",
+            "the method 'x': there is no setting 'backbone.nothing'",
         ),
-        ("x := default --backbone.stop soon", "options of the method 'x' are not understood"),
+        ("x := default backbone.stop=soon", "the method 'x': --set backbone.stop must be a number"),
     ],
 )
 def test_a_method_that_cannot_be_trained_is_refused_before_anything_runs(

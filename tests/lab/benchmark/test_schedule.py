@@ -51,7 +51,7 @@ class Bench:
         plan = make_plan(self.content, self.root)
         configs: dict[tuple[str, str], dict[str, Any]] = {}
         for method, scene in itertools.product(plan.methods, plan.scenes):
-            config: dict[str, Any] = {"strength": "".join(method.options[1:2])}
+            config: dict[str, Any] = {"strength": "".join(method.assignments).partition("=")[2]}
             if method.name == "hdr-nerf":
                 config["method"] = {"name": "hdr-nerf"}
             configs[method.name, scene.name] = config
@@ -115,10 +115,10 @@ def test_every_run_is_done_once_and_never_again(bench):
 
 
 def test_a_changed_plan_repeats_what_changed_and_says_so(bench):
-    bench.content |= {"methods": ["quick", "v := other --strength 1"], "scenes": [str(bench.root / "day")]}
+    bench.content |= {"methods": ["quick", "v := other strength=1"], "scenes": [str(bench.root / "day")]}
     bench.run()
     bench.calls()
-    bench.content["methods"] = ["quick", "v := other --strength 2"]
+    bench.content["methods"] = ["quick", "v := other strength=2"]
     bench.run()
     assert bench.calls() == ["other day 0 50"]
     assert any("v/seed_0: to be done again, for strength 1 → 2" in line for line in bench.told)
@@ -218,7 +218,7 @@ def test_no_report_says_where_things_lie(bench):
     (bench.root / "day-2" / "data.json").write_text("{}")
     checkout, at = Path(report.__file__).parents[2], bench.root
     bench.content |= {
-        "methods": ["quick", "fails", f"v := other --strength {at}/day/truth"],
+        "methods": ["quick", "fails", f"v := other strength={at}/day/truth"],
         "scenes": [f"noon={at}/day", str(at / "day-2")],
         "note": "One scene alone.",
     }
@@ -230,7 +230,7 @@ def test_no_report_says_where_things_lie(bench):
     text, rows = path.read_text(), table.read_text()
     assert text.startswith("# Benchmark\n\nOne scene alone.\n\nWritten by ")
     assert f"noon/a, day-2/a, OUT/a, physhdr/a, ~/a; not /else{at}/day" in text
-    assert "method v: `v := other --strength noon/truth`" in text and "--strength noon/truth" in rows
+    assert "method v: `v := other strength=noon/truth`" in text and "strength=noon/truth" in rows
     everything = (text + rows).replace(f"/else{at}", "")
     assert not any(str(place) in everything for place in (at, checkout, Path.home()))
 
@@ -552,7 +552,7 @@ def test_one_run_decides_no_lead(bench):
 
 
 def test_a_lead_is_told_by_name_with_the_pairs_that_are_missing(bench):
-    methods = ["quick", "other", "v := other --strength 1", "w := other --strength 2"]
+    methods = ["quick", "other", "v := other strength=1", "w := other strength=2"]
     bench.content |= {"methods": methods, "seeds": [0, 1, 2]}
     schedule = bench.run(jobs=4)
     level = {"quick": 35.0, "other": 34.0, "v": 36.0, "w": 35.0}

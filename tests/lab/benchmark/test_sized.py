@@ -21,8 +21,8 @@ METHODS = [
     "default",
     "baseline",
     "paper-short",
-    "small := default --backbone.budget 60000",
-    "some := default --training-exposures 0 2",
+    "small := default backbone.budget=60000",
+    "some := default training_exposures=0,2",
 ]
 
 

@@ -275,11 +275,11 @@ def test_global_curves_stand_in_for_local_ones_until(camera):
 def test_what_cannot_be():
     with pytest.raises(BadValueError, match="local"):
         GaussHDRConfig(tone_mapper=ToneMapperConfig(local=False))
-    with pytest.raises(BadValueError, match="SH degree"):
+    with pytest.raises(BadValueError, match=r"method\.sh_degree"):
         GaussHDRConfig(sh_degree=4)
     with pytest.raises(BadValueError, match="uncertainty"):
         GaussHDRConfig(least_uncertainty=0.0)
-    with pytest.raises(BadValueError, match=r"bracket[\s\S]*--supervision one"):
+    with pytest.raises(BadValueError, match=r"bracket[\s\S]*--set supervision=one"):
         dataclasses.replace(PRESETS["gausshdr"], supervision="bracket")
 
 

@@ -163,7 +163,7 @@ def test_hdr_supervision_must_be_asked_for_twice(tmp_path):
             HDRGSConfig(**half)
     assert not any(getattr(preset.method, "hdr_supervision", False) for preset in PRESETS.values())
     method = HDRGSConfig(hdr_supervision=True, hdr_truth=str(tmp_path))
-    with pytest.raises(BadValueError, match=r"half their size[\s\S]*--half-size-until 0"):
+    with pytest.raises(BadValueError, match=r"half their size[\s\S]*--set half_size_until=0"):
         dataclasses.replace(PRESETS["hdr-gs-short"], method=method)  # of which no truth is known
     with pytest.raises(BadValueError, match="global curve"):
         HDRGSConfig(tone_mapper=ToneMapperConfig(local=True))

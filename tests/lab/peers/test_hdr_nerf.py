@@ -263,7 +263,7 @@ def test_metric_rays_hold_what_there_is_in_the_cube():
 
 
 def test_ndc_is_refused_where_cameras_do_not_face_alike():
-    with pytest.raises(BadValueError, match=r"mean direction.*\n?.*--method.rays metric"):
+    with pytest.raises(BadValueError, match=r"mean direction.*\n?.*--set method.rays=metric"):
         RaySpace().survey(ring(), np.zeros((0, 3)), "ndc")
     space = RaySpace()
     with pytest.raises(BadValueError, match="has not seen its scene"):
@@ -530,7 +530,7 @@ def test_rays_that_the_cameras_forbid_are_told_as_what_they_are(tiny_data, tmp_p
     trainer = Trainer(dataclasses.replace(scene, train=train), config)
     with pytest.raises(BadValueError, match="cannot be in NDC") as raised:
         list(trainer.run(tmp_path))
-    assert raised.value.hint == "Set --method.rays metric."
+    assert raised.value.hint == "Give --set method.rays=metric."
 
 
 def test_nan_is_rejected(tiny_data, tmp_path):

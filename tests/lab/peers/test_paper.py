@@ -179,9 +179,9 @@ def test_the_image_exposure_branch_alone_is_its_global_and_local_curves(camera):
 
 def test_settings_that_contradict_each_other_are_refused():
     for changes in ({"illumination_branch": False}, {"tone_mapper": PaperToneMapperConfig(local=False)}):
-        with pytest.raises(BadValueError, match=r"f_mix[\s\S]*no-mix"):
+        with pytest.raises(BadValueError, match=r"f_mix[\s\S]*mix=false"):
             PaperConfig(**changes)
     with pytest.raises(BadValueError, match="odd number"):
         PaperLossConfig(blur_size=4)
-    with pytest.raises(BadValueError, match=r"bracket[\s\S]*--supervision one"):
+    with pytest.raises(BadValueError, match=r"bracket[\s\S]*--set supervision=one"):
         dataclasses.replace(PRESETS["paper"], supervision="bracket")

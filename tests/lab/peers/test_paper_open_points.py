@@ -233,27 +233,28 @@ def test_settings_that_contradict_each_other_are_refused():
     with pytest.raises(BadValueError, match=r"never move[\s\S]*without '-scaffold'"):
         make(AnchorsConfig(), direction_gradient=True)
     unmixed = dataclasses.replace(PAPER.tone_mapper, mix=False)
-    with pytest.raises(BadValueError, match=r"one branch alone[\s\S]*--method.growth-gradient"):
+    with pytest.raises(BadValueError, match=r"one branch alone[\s\S]*--set method.growth_gradient"):
         PaperConfig(illumination_branch=False, tone_mapper=unmixed, growth_gradient="image-exposure")
 
 
 # -- a training ----------------------------------------------------------------------------------------------
 
-SWITCHES = {
-    "--method.illumination-channels": "3",
-    "--method.deviation-domain": "log",
-    "--method.growth-gradient": "image-exposure",
-    "--method.loss.consistency-stop-gradient": "illumination",
-    "--method.loss.dssim-weight": "0.5",
-}
-OF_GAUSSIANS = ["--method.direction-gradient", "--backbone.start", "3"]
+SWITCHES = (
+    "method.illumination_channels=3",
+    "method.deviation_domain=log",
+    "method.growth_gradient=image-exposure",
+    "method.loss.consistency_stop_gradient=illumination",
+    "method.loss.dssim_weight=0.5",
+    "backbone.every=5",
+)
+OF_GAUSSIANS = ("method.direction_gradient=true", "backbone.start=3")
 
 
-@pytest.mark.parametrize(("preset", "more"), [("paper-short", OF_GAUSSIANS), ("paper-scaffold-short", [])])
+@pytest.mark.parametrize(("preset", "more"), [("paper-short", OF_GAUSSIANS), ("paper-scaffold-short", ())])
 def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny_data, tmp_path):
     run, whole = tmp_path / "run", tmp_path / "whole"
-    options = [word for pair in SWITCHES.items() for word in pair] + more
-    options += ["--preset", preset, "--iterations", "12", "--backbone.every", "5"]
+    options = [word for each in (*SWITCHES, *more) for word in ("--set", each)]
+    options += ["--preset", preset, "--iterations", "12"]
     assert main(["train", str(tiny_data), "--out", str(whole), *options]) == 0
     config = read_config(whole / "config.json").config
     method = config.method
