@@ -25,7 +25,7 @@ from ..model.nodes import find_modifier
 from ..model.point_cloud import read_tone_curve
 from ..model.point_removal import selection_of
 from ..model.tone_curve import ToneCurve
-from . import overlay, stand_in
+from . import bounds, overlay, stand_in
 from .camera import ViewCamera
 from .edit_points import EditPoints, checksum
 from .instances import InstanceFinder, is_visible
@@ -304,7 +304,8 @@ def _held(cloud: bpy.types.PointCloud) -> _Held:
         now = fingerprint(cloud)
         if held is None or held.fingerprint != now:
             # The old textures make room first.
-            _runtime.held.pop(uid, None)
+            if _runtime.held.pop(uid, None) is not None:
+                _soon(_hide_points, 0.0)  # what is far away may be another part
             held = _runtime.held[uid] = _Held(cloud, now)
         _runtime.suspects.discard(uid)
     return held
@@ -419,6 +420,7 @@ def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) 
     else:
         modifier.show_viewport = True
         target.display_type = "TEXTURED"
+        bounds.remove(target)
         if cloud_of(target).is_editable and stand_in.restore_radius(cloud_of(target)):
             cloud_of(target).update_tag()
 

@@ -19,6 +19,7 @@ from ..model.attributes import BASE, KEPT_RADIUS, LOG_SH, RADIUS, SCALE
 from ..model.node_builder import NodeBuilder
 from ..model.nodes import find_modifier
 from ..model.point_cloud import read_attribute, write_attribute
+from . import bounds
 
 #: Points have at most so many times the median radius: a wall's few large Gaussians would hide all else.
 LARGEST = 4.0
@@ -82,6 +83,7 @@ def hide(target: bpy.types.Object) -> None:
         modifier.show_viewport = False
     if target.display_type == "TEXTURED":
         target.display_type = "BOUNDS"
+    bounds.limit(target)
     if is_shown(cloud):
         # Material Preview and Rendered draw the points themselves, whatever the display type. A new attribute
         # is 0, also of linked data, whose attributes take no values.
@@ -96,6 +98,7 @@ def hide(target: bpy.types.Object) -> None:
 def show(target: bpy.types.Object) -> None:
     """Let Blender draw the points, as in a file that is opened without the extension."""
     cloud = cloud_of(target)
+    bounds.remove(target)
     if target.display_type == "BOUNDS":
         target.display_type = "TEXTURED"
     if is_shown(cloud) or not cloud.is_editable:  # a linked one's radius is in the file that it is of
