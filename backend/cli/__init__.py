@@ -171,11 +171,9 @@ def _command(argv: list[str]) -> Any:
     from .check import Check
     from .evaluate import Evaluate
     from .inspect import Inspect
-    from .layout import LayOut
     from .prepare import Prepare
     from .render import Render
     from .train import Train
-    from .triangulate import Triangulate
 
     commands: Any = (
         Annotated[Train, tyro.conf.subcommand("train")]
@@ -184,8 +182,6 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
-        | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]
-        | Annotated[LayOut, tyro.conf.subcommand("layout")]
         | Annotated[Synthesise, tyro.conf.subcommand("synthesise")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]

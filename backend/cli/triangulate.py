@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr triangulate``: points by structure from motion in a data set's training pictures."""
+"""``physhdr prepare --triangulate``: points by structure from motion in a data set's training pictures."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import tyro
+from typing import Any
 
 from ...bridge.errors import OutputError
 from ...bridge.limits import THREADS_MAX, whole
@@ -19,36 +18,36 @@ from ..shell import as_word
 from ..train.config import TrainConfig
 from ..train.sizing import extent_of, found_sizes
 from ..train.views import training_exposures
+from .preparing import Preparing
 
 #: The file that the points go into, in the data set's folder.
 SFM_FILE = "points3d_sfm.ply"
 
 
-@dataclass(frozen=True)
-class Triangulate:
-    """Find a data set's points by structure from motion (COLMAP), its cameras being known.
+@dataclass(frozen=True, kw_only=True)
+class PointOptions:
+    """Of points."""
 
-    Features of the training pictures are matched and triangulated: points as a capture has them, sparse, with
-    outliers and gaps. No pixel of a test view is read. Train from them with --points-file points3d_sfm.ply.
-    """
-
-    #: Folder of the data set, in any layout that is read.
-    data: tyro.conf.Positional[Path]
-    #: The PLY to write; default: points3d_sfm.ply in the data set's folder.
-    out: Path | None = None
+    #: Find points for a data set in any layout that is read, its cameras being known: features of training
+    #: pictures are matched and triangulated. They are as a capture has them: sparse, with outliers and gaps.
+    triangulate: bool = False
     #: Indices of the exposures that may be seen; each is matched for itself. Default: those that training
     #: sees, of photographs all.
     training_exposures: tuple[int, ...] | None = None
-    #: Replace points that this command made before.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Triangulate(PointOptions, Preparing):
+    """A data set's points by structure from motion (COLMAP). No pixel of a test view is read."""
+
     overwrite: bool = False
-    #: Threads for COLMAP; default: all cores.
     threads: int = -1
 
-    def run(self) -> int:
-        out = self.data / SFM_FILE if self.out is None else self.out
+    def work(self) -> dict[str, Any]:
+        out = self.destination or self.source / SFM_FILE
         self._check(out)
-        require_pycolmap("'physhdr triangulate' finds points")
-        scene = read_scene(self.data, downscale=1.0)
+        require_pycolmap("'physhdr prepare --triangulate' finds points")
+        scene = read_scene(self.source, downscale=1.0)
         seen = TrainConfig()
         if self.training_exposures is None:
             seen = found_sizes(extent_of(scene, seen), seen)
@@ -68,7 +67,7 @@ class Triangulate:
             points = triangulate(scene.train, exposures, Path(work), self.threads, say)
         write_points(out, points)
         self._report(out, points)
-        return 0
+        return {"points": len(points.positions), "file": str(out)}
 
     def _check(self, out: Path) -> None:
         """Raises ``OutputError`` early where ``out`` must not or cannot be written."""
@@ -77,9 +76,10 @@ class Triangulate:
             raise OutputError(f"{out} is there already", "Give another --out, or --overwrite to replace it.")
         if out.exists() and not is_ours(out):
             raise OutputError(
-                f"{out} was not made by 'physhdr triangulate': it is not replaced", "Give another --out."
+                f"{out} was not made by 'physhdr prepare --triangulate': it is not replaced",
+                "Give another --out.",
             )
-        if self.data.is_dir():  # else its reader says what is wrong
+        if self.source.is_dir():  # else its reader says what is wrong
             writable_folder(out.parent)
 
     def _report(self, out: Path, points: Triangulated) -> None:
@@ -88,6 +88,6 @@ class Triangulate:
             f"{points.views.mean():.1f} on average; reprojection error {points.errors.mean():.2f} pixels",
             soft_wrap=True,
         )
-        inside = resolved(out).is_relative_to(resolved(self.data))
-        name = resolved(out).relative_to(resolved(self.data)) if inside else resolved(out)
-        console.print(f"next: physhdr train {as_word(self.data)} --out RUN --points-file {as_word(name)}")
+        inside = resolved(out).is_relative_to(resolved(self.source))
+        name = resolved(out).relative_to(resolved(self.source)) if inside else resolved(out)
+        console.print(f"next: physhdr train {as_word(self.source)} --out RUN --points-file {as_word(name)}")

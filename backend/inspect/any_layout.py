@@ -48,7 +48,7 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
     if found.points is None:
         found.warnings.append(
             "there are no first points: training starts from those that stereo finds in the pictures "
-            "(physhdr triangulate finds some by structure from motion)"
+            "(physhdr prepare --triangulate finds some by structure from motion)"
         )
     if not all(encoding.is_known for view in scene.train for encoding in view.encodings):
         warn_of_exposures(found)  # what is known of radiance needs no bracket

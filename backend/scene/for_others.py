@@ -111,7 +111,8 @@ def lay_out(
     show(len(chosen), len(chosen), "")
     if scene.points is None:
         said.messages.append(
-            "there are no points, from which gsplat and splatfacto start: physhdr triangulate makes some"
+            "there are no points, from which gsplat and splatfacto start: "
+            "physhdr prepare --triangulate makes some"
         )
     if how.layout == "nerfstudio":
         _write_nerfstudio(scene, folder, names, masked)

@@ -98,7 +98,7 @@ def with_points_file(scene: Scene, name: str | None) -> Scene:
         return scene
     path = scene.root / name  # an absolute path stays what it is
     if not path.is_file():
-        remedy = f"Make points by structure from motion: physhdr triangulate {scene.root}"
+        remedy = f"Make points by structure from motion: physhdr prepare {scene.root} --triangulate"
         if (here := Path(name)).is_file():
             remedy = f"Names are of files in the data set's folder; of others give all: {here.absolute()}"
         raise FileMissingError(f"there is no {path}, which --points-file names", remedy)

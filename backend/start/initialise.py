@@ -108,7 +108,7 @@ def _points(
         raise BadValueError(
             f"{scene.root} has no points3d.ply",
             "Train with --initial-points auto, which finds points by stereo, or with those of structure from "
-            f"motion: physhdr triangulate {scene.root}, then --points-file points3d_sfm.ply.",
+            f"motion: physhdr prepare {scene.root} --triangulate, then --points-file points3d_sfm.ply.",
         )
     if given is not None and source != "both":
         return given

@@ -105,7 +105,7 @@ def _make(name: str) -> int:
         words += [*CAMERAS[camera], "--renders-of", str(FOLDER / scene)]
     commands = [[ROOT / ".venvs" / "run-blender", ROOT / "synth" / "make_scene.py", "--", *words]]
     if not (folder / "points3d_sfm.ply").exists():
-        commands.append([Path(sys.executable).parent / "physhdr", "triangulate", folder])
+        commands.append([Path(sys.executable).parent / "physhdr", "prepare", folder, "--triangulate"])
     for command in commands:
         if status := subprocess.run(command, check=False).returncode:
             return status

@@ -427,7 +427,7 @@ def test_radiance_is_inspected_in_the_colour_space_that_training_is_told(layouts
 def test_no_points_is_a_warning(layouts, tmp_path):
     found = inspect(layouts.write_nerfstudio(tmp_path / "scene"))
     (warning,) = [warning for warning in found.warnings if "no first points" in warning]
-    assert found.points is None and "stereo" in warning and "physhdr triangulate" in warning
+    assert found.points is None and "stereo" in warning and "physhdr prepare --triangulate" in warning
 
 
 def test_photos_of_automatic_exposure_are_a_bracket_over_the_views(layouts, tmp_path):

@@ -27,7 +27,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.capture import data_set, structure
 from physhdr.backend.scene.capture.data_set import new_folder
 from physhdr.backend.scene.encoding import SRGB
-from physhdr.bridge.errors import PhysHDRError
+from physhdr.bridge.errors import BadValueError, PhysHDRError
 
 POSES = 9
 #: What similarity alignment may leave: millimetres in a room of 6 m, degrees.
@@ -292,7 +292,7 @@ def test_options_that_say_nothing_together(tmp_path, words, message, look):
 
 def test_what_the_panel_sends_together_is_no_error(room, tmp_path, monkeypatch, capsys):
     """It sends the lens always, and its settings stay as they were: Borrow Places without Hand-Held."""
-    monkeypatch.setattr("physhdr.backend.cli.prepare.recover", stopped)
+    monkeypatch.setattr("physhdr.backend.cli.photos.recover", stopped)
     photos = tiny(room, tmp_path / "photos")
     words = ["--bracket", 2, "--max-width", 1600, "--camera", "OPENCV", "--borrow-poses", "--partial"]
     assert "COLMAP would run" in refused(photos, tmp_path / "out", *words)
@@ -579,7 +579,7 @@ def test_what_is_not_of_the_photos_costs_no_bracket(room, tmp_path, capsys):
 def test_a_mask_that_does_not_fit_or_is_damaged_costs_no_hours(room, tmp_path, monkeypatch):
     """Of any photo of a bracket, and before COLMAP has begun; what a header shows a look tells."""
     photos, mask = tiny(room, tmp_path / "photos"), tmp_path / "photos" / "masks" / "IMG_0.png"
-    monkeypatch.setattr("physhdr.backend.cli.prepare.recover", lambda *_: pytest.fail("COLMAP ran"))
+    monkeypatch.setattr("physhdr.backend.cli.photos.recover", lambda *_: pytest.fail("COLMAP ran"))
     mask.parent.mkdir()
     random = np.random.default_rng(0).integers(0, 256, (12, 16), np.uint8)
     Image.fromarray(random[:6]).save(mask)
@@ -596,7 +596,7 @@ def test_masks_that_hide_everything_are_told(room, tmp_path, monkeypatch, capsys
     (photos / "masks").mkdir()
     for name, shade in (("IMG_0", 127), ("IMG_1", 0), ("IMG_2", 255)):
         Image.new("L", (16, 12), shade).save(photos / "masks" / f"{name}.png")
-    monkeypatch.setattr("physhdr.backend.cli.prepare.recover", stopped)
+    monkeypatch.setattr("physhdr.backend.cli.photos.recover", stopped)
     refused(photos, "--out", tmp_path / "out")
     said = " ".join(capsys.readouterr().out.split())
     assert "nothing is looked at of photos whose masks are black all over: IMG_0.jpg, IMG_1.jpg" in said
@@ -619,7 +619,22 @@ def test_errors_are_json_too(room, tmp_path, capsys):
     assert error["code"] == "file_missing" and "nowhere" in error["message"] and error["hint"]
     photos = tiny(room, tmp_path / "photos")
     assert "no folder was given" in refused(photos)
-    assert "two folders" in refused(photos, tmp_path / "a", "--out", tmp_path / "b")
+    assert "two places" in refused(photos, tmp_path / "a", "--out", tmp_path / "b")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--triangulate", "--layout", "colmap"], "make two things"),
+        (["--triangulate", "--handheld"], "--handheld has no effect on the points of a data set"),
+        (["--layout", "colmap", "--overwrite"], "--overwrite has no effect on a data set for other programs"),
+        (["--link"], "--link has no effect on a data set of photos"),
+        (["--training-exposures", "0"], "--training-exposures has no effect on a data set of photos"),
+    ],
+)
+def test_an_option_of_another_kind_of_data_set_is_refused(options, message, tmp_path):
+    with pytest.raises(BadValueError, match=message):
+        tyro.cli(Prepare, args=[str(tmp_path), str(tmp_path / "out"), *options]).run()
 
 
 START = "import sys; from physhdr.backend.cli import main; sys.exit(main())"

@@ -133,7 +133,7 @@ COMMANDS = {
     "evaluate": (["evaluate", "run"], "evaluate.Evaluate._work"),
     "export": (["export", "run", "a.spz"], "convert.Convert.work"),
     "inspect": (["inspect", "data"], "inspect.inspect"),
-    "prepare": (["prepare", "photos", "data"], "prepare.understand"),
+    "prepare": (["prepare", "photos", "data"], "photos.understand"),
     "render": (["render", "run", "--out", "a.webp"], "video.Video.work"),
 }
 #: What a work may fail with: the error, its code, its words and what helps.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr triangulate`` as a user calls it, on a room whose surfaces are known, and what can go wrong."""
+"""``physhdr prepare --triangulate`` on a room whose surfaces are known, and what can go wrong."""
 
 import importlib.util
 import json
@@ -14,7 +14,7 @@ import pytest
 import tyro
 from PIL import Image
 
-from physhdr.backend.cli.triangulate import Triangulate
+from physhdr.backend.cli.prepare import Prepare
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.points import STRUCTURE_FROM_MOTION, read_points
 from physhdr.backend.train.config import TrainConfig
@@ -75,7 +75,7 @@ def with_points(made):
 
 
 def triangulate(*words):
-    return tyro.cli(Triangulate, args=[str(word) for word in (*words, "--threads", 1)]).run()
+    return tyro.cli(Prepare, args=[str(word) for word in (*words, "--triangulate", "--threads", 1)]).run()
 
 
 def refused(*words):
@@ -219,7 +219,9 @@ def test_points_that_are_there_are_replaced_if_they_are_ours_and_one_says_so(wit
         (with_points / SFM).read_bytes().replace(b"structure from motion", b"structure from a scan")
     )
     before = other.read_bytes()
-    assert "was not made by 'physhdr triangulate'" in refused(with_points, "--out", other, "--overwrite")
+    assert "was not made by 'physhdr prepare --triangulate'" in refused(
+        with_points, "--out", other, "--overwrite"
+    )
     assert other.read_bytes() == before
     ours = tmp_path / "ours.ply"
     ours.write_bytes((with_points / SFM).read_bytes()[:-50] + bytes(50))
@@ -238,7 +240,7 @@ def test_a_place_that_cannot_be_written_is_told_before_anything_is_matched(made,
 def test_without_pycolmap_it_says_how_to_install_it(made, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     told = refused(made, "--out", made / "never.ply")
-    assert "pip install pycolmap" in told and "physhdr triangulate" in told
+    assert "pip install pycolmap" in told and "physhdr prepare --triangulate" in told
 
 
 def test_pictures_without_texture(made, tmp_path):

@@ -32,7 +32,7 @@ KNOWN_POINT = np.array([0.31, -0.27, 0.13])
 
 
 def run(data: Path, out: Path, layout: str, *options: str) -> Path:
-    assert main(["layout", str(data), str(out), "--layout", layout, *options]) == 0
+    assert main(["prepare", str(data), str(out), "--layout", layout, *options]) == 0
     return out
 
 
@@ -298,13 +298,13 @@ def test_radiance_is_developed(tmp_path: Path, layouts) -> None:
     ],
 )
 def test_what_cannot_be_written(tiny_data: Path, tmp_path: Path, options, message, capsys) -> None:
-    assert main(["layout", str(tiny_data), str(tmp_path / "out"), "--layout", "nerfstudio", *options]) == 1
+    assert main(["prepare", str(tiny_data), str(tmp_path / "out"), "--layout", "nerfstudio", *options]) == 1
     assert re.search(message, capsys.readouterr().err) and not (tmp_path / "out").exists()
 
 
 def test_a_folder_that_holds_something_stays(tiny_data: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "mine.txt").write_text("mine")
-    assert main(["layout", str(tiny_data), str(tmp_path), "--layout", "colmap"]) == 1
+    assert main(["prepare", str(tiny_data), str(tmp_path), "--layout", "colmap"]) == 1
     assert "is not empty" in capsys.readouterr().err and [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 

@@ -130,7 +130,7 @@ def test_a_file_elsewhere_is_named_by_its_whole_path(data, tmp_path, monkeypatch
     config = short(initial_points="file")
     _, means = begun(data, dataclasses.replace(config, points_file=str(path)))
     assert means == places(path)
-    with pytest.raises(FileMissingError, match=r"no .*other\.ply(.|\n)*physhdr triangulate "):
+    with pytest.raises(FileMissingError, match=r"no .*other\.ply(.|\n)*physhdr prepare .*--triangulate"):
         begun(data, config)
     monkeypatch.chdir(tmp_path)  # what lies where the user stands is not meant, and is named
     with pytest.raises(FileMissingError, match=rf"no .*elsewhere\.ply(.|\n)*give all: {path}"):

@@ -59,7 +59,7 @@ def nerfstudio(folder: Path) -> None:
 
 
 def _brackets(folder: Path) -> None:
-    """What ``physhdr layout --brackets`` writes."""
+    """What ``physhdr prepare --layout nerfstudio --brackets`` writes."""
     from physhdr.backend.scene import read_scene
     from physhdr.backend.scene.for_others import How, lay_out
 

@@ -1,0 +1,480 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr prepare`` of photos: from their folder to a data set that can be trained on."""
+
+import dataclasses
+import math
+import statistics
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.progress import BarColumn, Progress, TextColumn
+
+from ...bridge.data_set import CAPTURE_FORMAT
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError
+from ...bridge.limits import THREADS_MAX, whole
+from ...bridge.regular import resolved
+from ...bridge.signals import catch, interrupt
+from ..runs.terminal import console
+from ..scene.capture import raw
+from ..scene.capture.brackets import Grouping
+from ..scene.capture.choice import Choice, Quality, photos_to_match, quality
+from ..scene.capture.data_set import Written, new_folder, write_data_set
+from ..scene.capture.exposures import some_names
+from ..scene.capture.gravity import rotation_to_z, up_direction
+from ..scene.capture.noise import Noise, estimated
+from ..scene.capture.photos import Photo, Skipped
+from ..scene.capture.progress import Report, Stages
+from ..scene.capture.structure import (
+    CAPTURE_REMEDY,
+    FEWEST_POSES,
+    RegisteredPose,
+    Structure,
+    StructureError,
+    existing,
+    recover,
+    require_pycolmap,
+)
+from ..scene.capture.understanding import Understanding, understand
+from ..scene.lens import Lens, lenses_by_size
+from ..shell import as_word
+from .given import given_of
+from .preparing import Preparing
+from .told import line
+
+#: Of each ISO so many raw files tell the noise, where they do not say it.
+NOISE_PHOTOS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoOptions:
+    """Of photos."""
+
+    #: Only say what the photos are, at once, and make nothing.
+    look: bool = False
+    #: Exposures where EXIF has none: JSON or CSV, file name → seconds.
+    exposures: Path | None = None
+    #: All photos are of one exposure, whatever EXIF says.
+    same_exposure: bool = False
+    #: How photos are grouped into poses: names <pose>_<k>; order of time, with a pattern of exposures that
+    #: repeats; none, each photo is a pose.
+    group: Grouping = "auto"
+    #: Photos in each pose, where that is not plain.
+    bracket: int | None = None
+    #: The brackets were taken without a tripod: each photo has a pose of its own.
+    handheld: bool = False
+    #: Hand-held photos that cannot be placed, black or white ones, take their bracket's next one's pose.
+    borrow_poses: bool = False
+    #: Which exposure the cameras are found with: the best exposed, the same for all poses or each pose's own,
+    #: or a step of the bracket, 0 the darkest.
+    match: Annotated[Choice, tyro.conf.arg(metavar="same|each|INT")] = "same"
+    #: Model of the lens.
+    camera: Literal[
+        "OPENCV", "RADIAL", "SIMPLE_RADIAL", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE", "RADIAL_FISHEYE"
+    ] = "OPENCV"
+    #: A folder with COLMAP's sparse/0 of these photos, used instead of finding the cameras.
+    poses: Path | None = None
+    #: Of so many places about one is kept for the test, between others; 0: none.
+    test_every: int = 8
+    #: Make them no wider than this, pixels; 0: no limit.
+    max_width: int = 1600
+    #: Go on where less than half of the poses could be placed.
+    partial: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photos(PhotoOptions, Preparing):
+    """A data set of photos: exposures, cameras (COLMAP), pictures without distortion."""
+
+    downscale: float | None = None
+    overwrite: bool = False
+    threads: int = -1
+    json: bool = False
+
+    def work(self) -> dict[str, Any]:
+        voice = Lines() if self.json else Terminal()
+        self._check()
+        understood = understand(
+            self.source,
+            self.exposures,
+            self.same_exposure,
+            self.group,
+            self.bracket,
+            self.handheld,
+            lambda done, of: voice.progress(Report(0.0, f"reading headers: {done} of {of}")),
+        )
+        for each in understood.lines:
+            voice.say(each)
+        for each in understood.warnings:
+            voice.warn(each)
+        if self.look:
+            return understood.described()
+        folder = self.folder
+        if self.handheld and not understood.is_handheld:
+            voice.warn("there are no brackets that could be hand-held: --handheld changes nothing")
+        if self.borrow_poses and not self.handheld:
+            voice.warn("--borrow-poses is of hand-held brackets: without --handheld it changes nothing")
+        require_pycolmap()
+        catch(interrupt)  # again: glog, which comes with it, took SIGTERM for a crash
+        with new_folder(folder, self.overwrite) as made, voice:
+            result = self._make(understood, made, voice)
+        voice.say(f"next: physhdr inspect {as_word(folder)}, then physhdr train {as_word(folder)} --out RUN")
+        return {"folder": str(folder), **result}
+
+    @property
+    def _smaller(self) -> float:
+        return 1.0 if self.downscale is None else self.downscale
+
+    def _check(self) -> None:
+        """Raises ``BadValueError`` and ``OutputError`` for what cannot be."""
+        if not (math.isfinite(self._smaller) and self._smaller >= 1.0) or self.max_width < 0:
+            raise BadValueError(
+                f"invalid size: --downscale {self.downscale}, --max-width {self.max_width}",
+                "Give a factor of 1 or more, and a width in pixels or 0.",
+            )
+        if self.test_every < 0 or self.test_every == 1:
+            raise BadValueError(
+                f"every {self.test_every}-th pose cannot be kept for the test",
+                "Give 2 or more, or 0 for none.",
+            )
+        whole("--threads", self.threads, -1, THREADS_MAX)
+        self._check_together()
+        if self.look:
+            return
+        photos, out = resolved(self.source), resolved(self.folder)
+        if out == photos or out in photos.parents:
+            raise OutputError(f"{self.folder} holds the photos", "Give another folder for the data set.")
+
+    def _check_together(self) -> None:
+        """Raises ``BadValueError`` for options of which one would say nothing beside the other."""
+        if self.exposures is not None and self.same_exposure:
+            raise BadValueError(
+                "--exposures and --same-exposure say two things of the photos", "Leave one of them out."
+            )
+        if self.bracket is not None and self.group in ("none", "names"):
+            raise BadValueError(
+                f"--bracket {self.bracket} changes nothing about --group {self.group}",
+                "Leave one of them out.",
+            )
+        if self.poses is not None and (given := given_of(self, "match", "camera")):
+            raise BadValueError(
+                f"--{given[0]} is of how cameras are found, and --poses has them", "Leave one of them out."
+            )
+
+    def _make(self, understood: Understanding, folder: Path, voice: "Voice") -> dict[str, Any]:
+        """Fill ``folder``, which has room for others beside it; what there is to tell, for programs."""
+        expected = understood.seconds(self.max_width)
+        if self.poses is not None:
+            expected = {"looking": expected["looking"], "writing": expected["writing"]}
+        stages = Stages(expected, voice.progress)
+        understood, qualities = _looked_at(understood, stages, voice)
+        brackets = understood.brackets
+        structure, words = self._structure(understood, qualities, folder, stages, voice)
+        borrowed: dict[int, int] = {}
+        if self.borrow_poses and understood.is_handheld:
+            structure, borrowed = _borrowed(structure, understood)
+        _require_enough(structure, understood, self.partial)
+        up = up_direction([pose.rotation for pose in structure.registered.values()])
+        structure = structure.turned(rotation_to_z(up))
+        lenses = self._lenses(structure)
+        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
+        origin = {
+            "format": CAPTURE_FORMAT,
+            "version": 1,
+            "kind": understood.kind,
+            **_encoding(understood),
+            "exposures": understood.exposures.meaning,
+            "brackets": brackets.how,
+            "cameras": words,
+            "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras.values()],
+            "up": "turned so that +Z is up; scale and place are structure from motion's own",
+            "options": {
+                key: _plain(value) for key, value in dataclasses.asdict(self).items() if key != "json"
+            },
+            "left_out": left_out,
+            "borrowed": {brackets.poses[k].name: brackets.poses[of].name for k, of in borrowed.items()},
+            "skipped": {each.name: each.why for each in understood.skipped},
+        }
+        stages.begin("writing", "writing pictures")
+        written = write_data_set(
+            folder,
+            brackets,
+            structure,
+            lenses,
+            self.test_every,
+            origin,
+            lambda done, of: stages.at(done / of, f"writing pictures: {done} of {of}"),
+            borrowed,
+        )
+        sizes = sorted({(lens.width, lens.height) for lens in lenses.values()}, reverse=True)
+        self._report(understood, structure, written, sizes, voice)
+        if borrowed:
+            names = [brackets.poses[k].name for k in borrowed]
+            voice.warn(
+                f"{len(borrowed)} photos took the pose of their bracket's next one: {some_names(names)}"
+            )
+        if left_out:
+            voice.warn(f"ignoring photos that could not be placed: {some_names(left_out)}")
+            if understood.is_handheld and not self.borrow_poses:
+                voice.say("--borrow-poses gives black and white photos the pose of their bracket's next one")
+        return {
+            "train": written.train,
+            "test": written.test,
+            "placed": len(structure.registered) - len(borrowed),
+            "places": understood.places,
+            "points": written.points,
+            "reprojection_error": round(written.reprojection_error, 3),
+            "lines": voice.lines,
+            "warnings": voice.warnings,
+        }
+
+    def _lenses(self, structure: Structure) -> dict[int, Lens]:
+        """A pinhole camera for each of the structure's, whose pictures are as small as is asked for."""
+        widest = max(camera.width for camera in structure.cameras.values())
+        limit = self.max_width / widest if self.max_width else 1.0
+        scale = min(1.0 / self._smaller, limit, 1.0)
+        lenses = lenses_by_size(structure.cameras, scale)
+        # Without a barrel's distortion pictures are wider than the photos were.
+        widest = max(lens.width for lens in lenses.values())
+        if 0 < self.max_width < widest:
+            return lenses_by_size(structure.cameras, scale * self.max_width / widest)
+        return lenses
+
+    def _structure(
+        self,
+        understood: Understanding,
+        qualities: dict[str, Quality],
+        folder: Path,
+        stages: Stages,
+        voice: "Voice",
+    ) -> tuple[Structure, str]:
+        """The cameras, and in words where they are from."""
+        poses = understood.brackets.poses
+        if self.poses is not None:
+            return existing(self.poses, poses), f"the reconstruction in {self.poses}"
+        to_match, which = photos_to_match(poses, self.match, qualities)
+        voice.say(f"the cameras are found with {which}")
+        work = folder.parent / "colmap"
+        work.mkdir()
+        stage_of = {"reading photos": "copying", "features": "features", "matching": "matching"}
+        begun = ""
+
+        def at(step: str, share: float) -> None:
+            nonlocal begun
+            stage = stage_of.get(step, "mapping")
+            if stage != begun:
+                begun = stage
+                stages.begin(stage, f"COLMAP: {step}")
+            stages.at(min(share, 0.999), f"COLMAP: {step}")
+
+        structure = recover(to_match, work, self.camera, self.threads, at, understood.pairs())
+        return structure, f"COLMAP, {which}"
+
+    def _report(
+        self,
+        understood: Understanding,
+        structure: Structure,
+        written: Written,
+        sizes: list[tuple[int, int]],
+        voice: "Voice",
+    ) -> None:
+        brackets = understood.brackets
+        of = " and ".join(f"{width}×{height}" for width, height in sizes)
+        evs = ", ".join(f"{math.log2(seconds):+.1f}" for seconds in understood.steps())
+        voice.say(
+            f"wrote {self.folder}: {written.train} poses for training, {written.test} for the "
+            f"test; {written.pictures} pictures of {of}"
+        )
+        voice.say(
+            f"{len(structure.registered)} of {len(brackets.poses)} poses placed, {written.points} points, "
+            f"reprojection error {written.reprojection_error:.2f} pixels; exposures EV {evs}"
+        )
+        for camera in structure.cameras.values():
+            voice.say(f"lens: {camera.model_name} {camera.params_to_string()}")
+        voice.say("the world is turned so that +Z is up; its scale is arbitrary, not metres")
+
+
+# ---- the work ----------------------------------------------------------------------------------------
+
+
+def _looked_at(
+    understood: Understanding, stages: Stages, voice: "Voice"
+) -> tuple[Understanding, dict[str, Quality]]:
+    """How well each photo is exposed, by name; photos that cannot be decoded are left out, with a warning.
+
+    Raises ``FileDamagedError`` for a mask that cannot be decoded: COLMAP may take hours from here.
+    """
+    qualities: dict[str, Quality] = {}
+    damaged: list[Skipped] = []
+    hidden: list[str] = []
+    photos = understood.brackets.photos
+    stages.begin("looking", "looking at the photos")
+    for done, photo in enumerate(photos):
+        stages.at(done / len(photos), f"looking at the photos: {done} of {len(photos)}")
+        try:
+            qualities[photo.name] = quality(photo)
+        except FileDamagedError as error:
+            damaged.append(Skipped(photo.name, error.message.removeprefix(f"{photo.path} ")))
+        else:
+            keep = photo.keep()
+            if keep is not None and not keep.any():
+                hidden.append(photo.name)
+    if hidden:
+        voice.warn(f"nothing is looked at of photos whose masks are black all over: {some_names(hidden)}")
+    if damaged:
+        understood = understood.without(damaged)
+        for each in damaged:
+            voice.warn(f"left out: {each.name} {each.why}")
+        if len(understood.brackets.poses) < FEWEST_POSES:
+            raise DataMismatchError(
+                f"{len(understood.brackets.poses)} poses are left without damaged photos; {FEWEST_POSES} are "
+                "the least",
+                CAPTURE_REMEDY,
+            )
+    return understood, qualities
+
+
+def _borrowed(structure: Structure, understood: Understanding) -> tuple[Structure, dict[int, int]]:
+    """With the poses of hand-held photos that could not be placed: that of the next step of their bracket.
+
+    Returns which took whose.
+    """
+    place_of = understood.brackets.place_of
+    registered, borrowed = dict(structure.registered), {}
+    for number, place in enumerate(place_of):
+        mates = [k for k in structure.registered if place_of[k] == place]
+        if number in structure.registered or not mates:
+            continue
+        nearest = min(mates, key=lambda k, number=number: abs(k - number))
+        pose = structure.registered[nearest]
+        nothing = np.zeros((0, 2)), np.zeros(0, np.int64)
+        registered[number] = RegisteredPose(pose.camera, pose.rotation, pose.translation, *nothing)
+        borrowed[number] = nearest
+    return dataclasses.replace(structure, registered=dict(sorted(registered.items()))), borrowed
+
+
+def _require_enough(structure: Structure, understood: Understanding, partial: bool) -> None:
+    brackets = understood.brackets
+    placed, all_poses = len(structure.registered), len(brackets.poses)
+    if placed < FEWEST_POSES or (2 * placed < all_poses and not partial):
+        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
+        raise StructureError(
+            f"only {placed} of {all_poses} poses could be placed; not {some_names(left_out)}",
+            CAPTURE_REMEDY + " --partial goes on with those that were placed.",
+        )
+
+
+def _encoding(understood: Understanding) -> dict[str, Any]:
+    """What the codes of the pictures mean, for readers of the data set (docs/formats.md)."""
+    if not understood.is_raw:
+        return {"encoding": "camera"}
+    photos = understood.brackets.photos
+    noise: dict[str, Any] = {}
+    for iso in sorted({photo.iso for photo in photos}, key=lambda iso: iso or 0.0):
+        found, words = _noise([photo for photo in photos if photo.iso == iso])
+        if found is not None:
+            noise[f"{iso:g}" if iso else "unknown"] = {**dataclasses.asdict(found), "from": words}
+    return {
+        "encoding": "linear",
+        "clip": 1.0,
+        "primaries": "Linear Rec.709",
+        "white_balance": list(photos[0].white_balance or ()),
+        "noise": {
+            "meaning": "by ISO: variance = slope × signal + offset of one photosite, signal 0…1 from black "
+            "to white level, before white balance",
+            **noise,
+        },
+    }
+
+
+def _noise(photos: list[Photo]) -> tuple[Noise | None, str]:
+    """Of raw files of one ISO, and in words where it is from."""
+    told = [photo.noise for photo in photos if photo.noise is not None]
+    if told:
+        slope, offset = (
+            statistics.median(getattr(each, name) for each in told) for name in ("slope", "offset")
+        )
+        return Noise(slope, offset), "the files' NoiseProfile"
+    some = photos[:: max(1, len(photos) // NOISE_PHOTOS)][:NOISE_PHOTOS]
+    found = estimated(plane for photo in some for plane in raw.photosites(photo.path))
+    return found, f"flat places of {len(some)} raw files"
+
+
+def _plain(value: object) -> object:
+    return str(value) if isinstance(value, Path) else value
+
+
+# ---- who is told -------------------------------------------------------------------------------------
+
+
+class Voice:
+    """Who is told what goes on: people or a program. Active (``with``) while the long work is done."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.warnings: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+    def warn(self, line: str) -> None:
+        self.warnings.append(line)
+
+    def progress(self, report: Report) -> None:
+        """How far the work is."""
+
+    def __enter__(self) -> "Voice":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class Lines(Voice):
+    """JSON on stdout, an object a line, as ``addon/session/task.py`` reads it."""
+
+    def progress(self, report: Report) -> None:
+        left = {} if report.seconds_left is None else {"seconds_left": report.seconds_left}
+        line(progress=report.fraction, message=report.message, **left)
+
+
+class Terminal(Voice):
+    """A bar with the time that is left, or, without a terminal, a line for each step."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[left]}"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=1.0, left="")
+        self._last = ""
+
+    def say(self, line: str) -> None:
+        super().say(line)
+        console.print(line)
+
+    def warn(self, line: str) -> None:
+        super().warn(line)
+        console.print(f"warning: {line}", style="yellow")
+
+    def progress(self, report: Report) -> None:
+        left = "" if report.seconds_left is None else f"{report.seconds_left:.0f} s left"
+        self._bar.update(self._task, completed=report.fraction, description=report.message, left=left)
+        step = report.message.split(": ")
+        if not console.is_terminal and step[0] == "COLMAP" and report.message != self._last:
+            self._last = report.message
+            console.print(report.message)
+
+    def __enter__(self) -> Voice:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
