@@ -23,7 +23,8 @@ from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.run_folder import CAMERAS_FILE
 from .. import outside, similarity
 from ..blender import CLIP_END, CLIP_START, cloud_of, render_size, takes_objects, to_matrix, world_of
-from ..layouts.camera_file import VIEWS, Frame, read_frames
+from ..layouts.cameras import Frame, read_frames
+from ..layouts.views import VIEWS
 from ..model import origin
 from ..model.attributes import CAPTURE, FILE
 from . import placement

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a data set's folder holds, in a few lines, and what is wrong with it. No bpy; no pixel is decoded.
 
-It looks at the JSON files and at the headers of pictures, so that a panel can show it at once. The trainer's
-own reader checks more when it reads (backend/scene).
+It reads JSON files and headers of pictures only, so that a panel can show it at once. The trainer's readers
+(backend/scene) check more.
 """
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +16,14 @@ from typing import Any
 from ...bridge import data_set
 from ...bridge.contents import SplitContents, split_contents
 from ...bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
+from ...bridge.layouts import GAUSSHDR, HDR_NERF_SYN, layout_of, looked_for
+from ...bridge.layouts.transforms import frames_of
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import LEVEL, is_number
 from ...bridge.regular import read_json_object, regular_file
 from ...bridge.words import counted
-from .captures import LOOKED_FOR, NERF, Capture, read_capture
 from .picture_size import PNG_SIGNATURE, picture_size
+from .views import VIEWS, read_views
 
 #: Of a number of points.
 MOST_DIGITS = 12
@@ -28,18 +31,13 @@ MOST_DIGITS = 12
 FEWEST_EXPOSURES = 2
 #: float32 has 277.
 MOST_STOPS = 1000
-#: So many missing files are named; of the rest the number is told.
+#: So many missing files are named; the rest are counted.
 NAMED = 3
-#: Exposures of a bracket; of more, as automatic exposure gives them, the ends are told.
+#: Exposures that are listed; of more, as automatic exposure gives them, the shortest and the longest.
 MOST_NAMED = 8
 
 MAKE_AGAIN = "Render the data set again into the same folder: only what is missing is made."
-TRAINING = data_set.transforms_file(data_set.TRAIN)
-#: Captures of which the trainer leaves out what has no picture.
-LEAVE_OUT = ("transforms.json", NERF)
 CHOOSE = "Choose a data set's folder, prepare photos, or render a data set from this scene."
-#: In ``views``: poses of which the trainer chooses some for testing.
-ALL = "all"
 #: Of those that a capture may have, headers are read of so many pictures: enough to see whether sizes differ.
 HEADERS = 400
 
@@ -48,14 +46,14 @@ HEADERS = 400
 class DatasetSummary:
     """What ``summarise`` found.
 
-    ``views``: poses in each split that there is. ``size``: width and height in pixels, ``None`` where
-    pictures differ or none can be read. ``exposures``: seconds, shortest first, of the training views.
-    ``stops``: dynamic range, and ``stops_from``: whether it was measured on the true radiance or only
-    follows from the exposures. ``levels``, ``relit_levels``: ambient levels of extra training views and
-    of the relit truth. ``lights``: those that the scene has, each with a level of its own; ``lit_lights``:
-    those whose levels differ in the extra training views; ``mixtures``: how many settings of the relit truth
-    change another light than the ambient one. ``layout``: of a capture, none of ours. ``warnings``: what is
-    wrong, in the order of its weight.
+    ``views``: poses in each split that there is, or in ``VIEWS``. ``size``: width and height in pixels,
+    ``None`` where pictures differ or none can be read. ``exposures``: seconds, shortest first, of the
+    training views. ``stops``: dynamic range, and ``stops_from``: whether it was measured on the true radiance
+    or only follows from the exposures. ``levels``, ``relit_levels``: ambient levels of extra training views
+    and of the relit truth. ``lights``: those that the scene has, each with a level of its own;
+    ``lit_lights``: those whose levels differ in the extra training views; ``mixtures``: how many settings of
+    the relit truth change another light than the ambient one. ``layout``: of a capture; empty for our own.
+    ``warnings``: what is wrong, the worst first.
     """
 
     name: str
@@ -84,45 +82,45 @@ class DatasetSummary:
         ambient light, lights, points.
         """
         views = self.views
-        if ALL in views:
+        if VIEWS in views:
             size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
-            return [f"{self.name}: {views[ALL]} views{size}, {self.layout}", *self._of_exposures()]
+            return [f"{self.name}: {views[VIEWS]} views{size}, {self.layout}", *self._of_exposures()]
         parts = [f"{views.get(data_set.TRAIN, 0)} training views", f"{views.get(data_set.TEST, 0)} test"]
         if data_set.LIT in views:
             parts.append(f"{views[data_set.LIT]} under other light")
         if data_set.VALIDATION in views:
             parts.append(f"{views[data_set.VALIDATION]} validation")
         size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
-        told = [f"{self.name}: {', '.join(parts)}{size}", *self._of_exposures()]
+        lines = [f"{self.name}: {', '.join(parts)}{size}", *self._of_exposures()]
         light = []
         if self.levels:
             light.append(f"trained at {_levels(self.levels)}")
         if self.relit_levels:
             light.append(f"truth at {_levels(self.relit_levels)}")
         if light:
-            told.append(f"Ambient light: {'; '.join(light)}")
+            lines.append(f"Ambient light: {'; '.join(light)}")
         if self.lights:
             parts = [", ".join(self.lights)]
             if self.lit_lights:
                 parts.append(f"levels to learn from: {', '.join(self.lit_lights)}")
             if self.mixtures:
                 parts.append(f"truth for {counted(self.mixtures, 'mixture')}")
-            told.append(f"Lights: {'; '.join(parts)}")
-        return told
+            lines.append(f"Lights: {'; '.join(parts)}")
+        return lines
 
     def _of_exposures(self) -> list[str]:
-        """A line each of exposures, dynamic range, points; nothing of what is not known."""
-        told = []
+        """A line each for exposures, dynamic range and points, where known."""
+        lines = []
         if len(self.exposures) > MOST_NAMED:
-            told.append(f"{len(self.exposures)} exposures: EV {self.evs[0]:+.3g} to {self.evs[-1]:+.3g}")
+            lines.append(f"{len(self.exposures)} exposures: EV {self.evs[0]:+.3g} to {self.evs[-1]:+.3g}")
         elif self.exposures:
             many = "exposures" if len(self.exposures) > 1 else "exposure"
-            told.append(f"{len(self.exposures)} {many}: EV {', '.join(f'{ev:+.3g}' for ev in self.evs)}")
+            lines.append(f"{len(self.exposures)} {many}: EV {', '.join(f'{ev:+.3g}' for ev in self.evs)}")
         if self.stops is not None:
-            told.append(f"Dynamic range: {self.stops:.1f} stops ({self.stops_from})")
+            lines.append(f"Dynamic range: {self.stops:.1f} stops ({self.stops_from})")
         if self.points is not None:
-            told.append(f"Starts from {self.points:,} points")
-        return told
+            lines.append(f"Starts from {self.points:,} points")
+        return lines
 
 
 def summarise(folder: Path | str) -> DatasetSummary:
@@ -138,13 +136,13 @@ def summarise(folder: Path | str) -> DatasetSummary:
         what = "is a file" if folder.exists() else "does not exist"
         raise FileMissingError(f"The data set folder {folder} {what}", CHOOSE)
     unfinished = data_set.is_unfinished(folder)
-    if not data_set.is_layout(folder):
+    layout = layout_of(folder)
+    if layout is None:
         if unfinished:
             raise FileMissingError(f"The data set in {folder} has only just been begun", MAKE_AGAIN)
-        capture = read_capture(folder)
-        if capture is not None:
-            return _of_capture(folder, capture)
-        raise FileMissingError(f"{folder} is not a data set: it has no {TRAINING}, no {LOOKED_FOR}", CHOOSE)
+        raise FileMissingError(f"{folder} is not a data set: looked for {looked_for()}", CHOOSE)
+    if layout is not HDR_NERF_SYN:
+        return _of_capture(folder)
     info = data_set.read_info(folder, MAKE_AGAIN)
     warnings: list[str] = []
     if unfinished:
@@ -163,7 +161,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         if name == data_set.LIT:
             levels = _lit_levels(split, path.name, warnings)
             lit_lights = _names(transforms, "lights", path.name, warnings) or lit_lights
-        _check_frames(name, split, views[name], warnings)
+        _check_frames(name, split, warnings)
     size = _check_pictures(folder, splits.values(), warnings)
     exposures = _check_exposures(splits[data_set.TRAIN], warnings)
     if data_set.TEST not in views:
@@ -182,7 +180,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         points=points,
         levels=tuple(sorted(levels)),
         relit_levels=tuple(sorted(relit)),
-        # A folder from elsewhere may tell of no others than those that vary.
+        # A folder from elsewhere may name only those that vary.
         lights=_names(info, "lights", data_set.INFO_FILE, warnings) or lit_lights,
         lit_lights=lit_lights,
         mixtures=len(mixtures) - len(relit),
@@ -190,34 +188,40 @@ def summarise(folder: Path | str) -> DatasetSummary:
     )
 
 
-def _of_capture(folder: Path, capture: Capture) -> DatasetSummary:
+def _of_capture(folder: Path) -> DatasetSummary:
     """What a capture holds: photographs, or renders of other programs."""
+    found = read_views(folder)
+    assert found is not None, "its layout is known"
     info = data_set.read_info(folder, MAKE_AGAIN)
     warnings: list[str] = []
-    if capture.missing:
-        kept = "; they are left out" if capture.layout in LEAVE_OUT else ""
+    if found.missing:
+        # GaussHDR's reader refuses them, all others train on the rest.
+        ignored = "; they are ignored" if found.layout is not GAUSSHDR else ""
         warnings.append(
-            f"Pictures are missing ({len(capture.missing)}): {_some(list(capture.missing))}{kept}."
+            f"Pictures are missing ({len(found.missing)}): {_some(list(found.missing))}{ignored}."
         )
-    if not capture.poses:
+    if not found.seen:
         raise FileMissingError(f"{folder} names no picture that is there", CHOOSE)
-    sizes = {size for file in list(capture.pictures)[:HEADERS] if (size := picture_size(file))}
-    exposures = tuple(sorted({seconds for seconds in capture.pictures.values() if seconds is not None}))
-    if None not in capture.pictures.values() and len(exposures) < FEWEST_EXPOSURES:
+    pictures = {file: seconds for view in found.seen for file, seconds in view.pictures.items()}
+    sizes = {size for file in list(pictures)[:HEADERS] if (size := picture_size(file))}
+    exposures = tuple(sorted({seconds for seconds in pictures.values() if seconds is not None}))
+    if None not in pictures.values() and len(exposures) < FEWEST_EXPOSURES:
         warnings.append("All pictures have one exposure: high dynamic range cannot be learned.")
     stops, stops_from = _stops(info, exposures)
-    splits = capture.splits
-    if splits is not None and not splits[data_set.TEST]:
+    views = dict(Counter(view.split for view in found.seen))
+    if VIEWS in views:
+        views = {VIEWS: len(found.seen)}
+    elif data_set.TEST not in views:
         warnings.append("There is no test split: the quality cannot be measured.")
     return DatasetSummary(
         name=data_set.scene_name(folder, info),
-        views=splits or {ALL: len(capture.poses)},
+        views=views,
         size=next(iter(sizes)) if len(sizes) == 1 else None,
         exposures=exposures,
         stops=stops,
         stops_from=stops_from,
-        points=capture.points,
-        layout="photographs" if capture.prepared else capture.layout,
+        points=found.points,
+        layout="photographs" if (folder / data_set.CAPTURE_FILE).is_file() else found.layout.name,
         warnings=tuple(warnings),
     )
 
@@ -230,15 +234,11 @@ def _levels(levels: tuple[float, ...]) -> str:
 
 
 def _transforms(path: Path) -> dict[str, Any]:
-    """A transforms_*.json whose ``frames`` is a list of objects, and not empty."""
+    """A transforms_*.json with frames, and the field of view that HDR-NeRF needs."""
     content = read_json_object(path, MAKE_AGAIN)
-    frames = content.get("frames")
-    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise FileDamagedError(f"{path} has no list 'frames'", MAKE_AGAIN)
+    frames_of(path, content)
     if not isinstance(content.get("camera_angle_x"), int | float):
         raise FileDamagedError(f"{path} has no 'camera_angle_x'", MAKE_AGAIN)
-    if not frames:
-        raise FileDamagedError(f"{path} has no frames", MAKE_AGAIN)
     return content
 
 
@@ -252,17 +252,17 @@ def _names(content: dict[str, Any], key: str, file: str, warnings: list[str]) ->
 
 
 def _lit_levels(split: SplitContents, file: str, warnings: list[str]) -> set[float]:
-    """The ambient levels of the extra training views; a warning where one is none."""
-    given = [frame.levels.get(AMBIENT, 1.0) for frame in split.frames]
-    right = [level for level in given if is_number(level) and (level == 0 or level in LEVEL)]
-    if len(right) < len(given):
-        wrong = next(level for level in given if level not in right)
+    """The ambient levels of the extra training views; warns where one is not a level."""
+    levels = [frame.levels.get(AMBIENT, 1.0) for frame in split.frames]
+    right = [level for level in levels if is_number(level) and (level == 0 or level in LEVEL)]
+    if len(right) < len(levels):
+        wrong = next(level for level in levels if level not in right)
         warnings.append(f"{file}: the lighting level {wrong!r:.80} is not a number of 0 or more.")
     return {float(level) for level in right}
 
 
 def _split(path: Path, transforms: dict[str, Any], warnings: list[str]) -> SplitContents:
-    """The split of which ``path`` tells the exposures; warnings where it is missing or one is none."""
+    """A split; ``path`` states its exposures. Warns where it is missing, or one is not a time."""
     exposures: dict[str, Any] = {}
     if path.exists():
         exposures = read_json_object(path, MAKE_AGAIN)
@@ -277,12 +277,10 @@ def _split(path: Path, transforms: dict[str, Any], warnings: list[str]) -> Split
 # ---- checks ------------------------------------------------------------------------------------------------
 
 
-def _check_frames(name: str, split: SplitContents, count: int, warnings: list[str]) -> None:
-    """``count``: of all frames; those that name no file are told as ``?``."""
+def _check_frames(name: str, split: SplitContents, warnings: list[str]) -> None:
     if not split.pictures:
         return
     without = [frame.stem for frame in split.frames if not frame.seconds]
-    without += ["?"] * (count - len(split.frames))
     if without:
         warnings.append(f"{data_set.exposure_file(name)} names no picture of {_some(without)}.")
 
@@ -311,8 +309,8 @@ def _check_pictures(
     if damaged:
         warnings.append(f"Pictures are no PNG files ({len(damaged)}): {_some(damaged)}.")
     if len(sizes) > 1:
-        told = ", ".join(f"{w} × {h} ({name})" for (w, h), name in list(sizes.items())[:NAMED])
-        warnings.append(f"The pictures are not of one size: {told}. Training needs one.")
+        found = ", ".join(f"{w} × {h} ({name})" for (w, h), name in list(sizes.items())[:NAMED])
+        warnings.append(f"The pictures are not of one size: {found}. Training needs one.")
         return None
     return next(iter(sizes), None)
 

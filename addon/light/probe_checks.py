@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 from ...bridge.errors import PhysHDRError
 from ...bridge.probe import MUCH_UNSEEN
 from ..blender import add_handlers, cloud_of, remove_handlers
-from ..layouts.camera_file import Frame, read_frames
+from ..layouts.cameras import Frame, read_frames
 from ..model.drawn import drawn_of, fingerprint
 from ..model.look import cleaning_of
 from ..model.origin import data_of

@@ -19,7 +19,7 @@ from .. import similarity
 from ..blender import cloud_of, layout_of, world_of
 from ..capture import placement
 from ..capture.picking import surface_along_ray
-from ..layouts.captures import camera_places
+from ..layouts.cameras import camera_places
 from ..model import origin
 from ..model.look import is_model, shown_shape
 from ..viewport.splat_data import is_splats

@@ -12,7 +12,7 @@ import numpy as np
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
 from .. import similarity
 from ..blender import add_entry, cloud_of, collection_beside, curves_of, layout_of, remove_entry, world_of
-from ..layouts.captures import camera_places
+from ..layouts.cameras import camera_places
 from ..model import nodes, origin
 from ..model.attributes import BASE, CAMERA_DISTANCE, CONFIDENCE, POSITION, SCALE
 from ..model.cleaning import ALL, elongation_of

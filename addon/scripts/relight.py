@@ -101,14 +101,14 @@ class Report:
 def run(options: argparse.Namespace) -> None:
     import bpy
 
-    from physhdr.addon.layouts import camera_file
+    from physhdr.addon.layouts import cameras
     from physhdr.addon.model import model_import, nodes, point_cloud
     from physhdr.addon.rendering import render, render_setup
     from physhdr.bridge.lights import in_words
 
     report = Report()
     camera_path, _, index = options.camera.rpartition(":")
-    pose = camera_file.read_pose(Path(camera_path), int(index))
+    pose = cameras.read_pose(Path(camera_path), int(index))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     gaussians = model_import.import_model(options.model)

@@ -8,11 +8,13 @@ from typing import Annotated
 import tyro
 
 from ...bridge.errors import BadValueError
+from ...bridge.layouts import NERFSTUDIO
+from ...bridge.layouts.transforms import TRANSFORMS_FILE
 from ...bridge.shots import Shots
 from ..device import DeviceName
 from ..evaluate.camera_file import read_camera_file
 from ..rasterize import Implementation
-from ..scene import Camera, Scene, nerfstudio
+from ..scene import Camera, Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,5 +104,5 @@ def camera_named(scene: Scene, name: str | None) -> Camera:
 
 def shots_in(scene: Scene, file: Path, prim: str | None, space: Path | None, fewest: int = 1) -> Shots:
     """The frames of a file of cameras in the scene's world; arguments and errors as ``read_camera_file``."""
-    poses = scene.root / nerfstudio.LOOKS_FOR if scene.layout == nerfstudio.NAME else None
+    poses = scene.root / TRANSFORMS_FILE if scene.layout == NERFSTUDIO.name else None
     return read_camera_file(file, camera_named(scene, None), prim, space, fewest, poses)

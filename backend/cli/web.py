@@ -11,12 +11,13 @@ import torch
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_import import upright
+from ...bridge.layouts import HDR_NERF_SYN, NERF
 from ...bridge.model_file import Model, read_model
 from ...bridge.ply_model import read_ply_model
 from ..evaluate.sheets import as_picture
 from ..export.web_page import WebPage, WebView, write_web_page
 from ..runs.run import Run, open_run
-from ..scene import Scene, hdr_nerf_syn, nerf
+from ..scene import Scene, hdr_nerf_syn
 from .exporting import PAGE, Exporting
 from .told import Told, progress, saying
 
@@ -25,7 +26,7 @@ POSTER_WIDTH = 960
 #: Percent of the work after which a run's model is known: its confidence takes long.
 OF_MODEL = 60
 #: Layouts whose cameras are Blender's own.
-OF_BLENDER = (hdr_nerf_syn.OURS, hdr_nerf_syn.NAME, nerf.NAME)
+OF_BLENDER = (hdr_nerf_syn.OURS, HDR_NERF_SYN.name, NERF.name)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...bridge.axes import Up, turn_of_up
 from ...bridge.errors import BadValueError, FileDamagedError
+from ...bridge.layouts.checks import is_rotation, number, rigid_pose
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import damaged_where_it_fails, read_json_object, regular_file
 from ...bridge.shots import FORMAT, MOST_FRAMES, Shot, Shots, read_shots
@@ -22,7 +23,6 @@ from ..formats.apart import apart
 from ..formats.usd_stage import camera_of
 from ..optional import needed
 from ..scene.camera import Camera
-from ..scene.checks import is_rotation, number, rigid_pose
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 KINDS = (

@@ -14,11 +14,11 @@ import torch
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.layouts.truth_folders import GAUSSHDR, HDR_GS, holds_truth
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import check_level
 from ...bridge.regular import read_json_object, resolved
 from ..scene.source import exr_rec709
-from ..scene.truth_folders import GAUSSHDR, HDR_GS, holds_truth
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ itself, and then the reader has the last word.
 from pathlib import Path
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.layouts import HDR_NERF_SYN, layout_of
 from ...bridge.regular import resolved
-from ..scene import Scene, hdr_nerf_syn, read_scene
+from ..scene import Scene, read_scene
 from .any_layout import look_at_scene
 from .findings import Inspection
 from .own_layout import look_at_folder
@@ -25,7 +26,7 @@ def inspect(root: Path, downscale: float | None = None, color_space: str | None 
     """
     root = Path(root)
     found = Inspection(str(root), scene=resolved(root).name)
-    if hdr_nerf_syn.is_mine(root):
+    if layout_of(root) is HDR_NERF_SYN:
         faulty = look_at_folder(root, found)
         _ask_the_reader(root, downscale, color_space, found, faulty)
     elif scene := _ask_the_reader(root, downscale, color_space, found, set()):

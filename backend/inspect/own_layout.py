@@ -11,10 +11,11 @@ import numpy as np
 from ...bridge import data_set
 from ...bridge.contents import SplitContents, split_contents
 from ...bridge.errors import PhysHDRError
+from ...bridge.layouts import HDR_NERF_SYN
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
-from ..scene.hdr_nerf_syn import NAME, OURS
+from ..scene.hdr_nerf_syn import OURS
 from ..scene.pictures import read_codes
 from ..scene.source import exr_rec709
 from .findings import Inspection, Split, tell_exposures, warn_of_exposures
@@ -41,7 +42,7 @@ class _Walk:
         self.info: dict[str, Any] = {}
         if (root / data_set.INFO_FILE).exists():
             self.info = self._json(root / data_set.INFO_FILE)
-        self.found.layout = OURS if self.info else NAME
+        self.found.layout = OURS if self.info else HDR_NERF_SYN.name
         self.splits = {split: self._split(split) for split in data_set.splits_there(root)}
         self.pixels = TrainingPixels()
         self._head()

@@ -2,9 +2,9 @@
 """Data sets: one reader per layout on disk, all returning the same ``Scene``."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
+from ...bridge import layouts
 from ...bridge.errors import FileMissingError
 from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerf, nerfstudio
 from .camera import Camera
@@ -13,27 +13,19 @@ from .plausible import with_warnings
 from .points import with_words_of_points
 from .scene import Points, Scene, View
 
-__all__ = ["READERS", "Camera", "Points", "Reader", "Scene", "View", "read_scene"]
+__all__ = ["READERS", "Camera", "Points", "Scene", "View", "read_scene"]
 
 
-@dataclass(frozen=True)
-class Reader:
-    """A layout: its name, the file that gives it away, whether a folder is of it, how it is read.
-
-    ``read_scene(root, downscale)``: as the function of this module, of a folder that is of this layout.
-    """
-
-    name: str
-    looks_for: str
-    is_mine: Callable[[Path], bool]
-    read_scene: Callable[[Path, float | None], Scene]
-
-
-#: Every layout that is understood, in the order in which they are tried. A new one is one file and one line.
-READERS = tuple(
-    Reader(module.NAME, module.LOOKS_FOR, module.is_mine, module.read_scene)
-    for module in (hdr_nerf_syn, hdr_nerf_real, gausshdr, hdr_gs, colmap, nerf, nerfstudio)
-)
+#: The reader of each layout of ``bridge.layouts``, by its name: ``read_scene(root, downscale)``.
+READERS: dict[str, Callable[[Path, float | None], Scene]] = {
+    layouts.HDR_NERF_SYN.name: hdr_nerf_syn.read_scene,
+    layouts.HDR_NERF_REAL.name: hdr_nerf_real.read_scene,
+    layouts.GAUSSHDR.name: gausshdr.read_scene,
+    layouts.HDR_GS.name: hdr_gs.read_scene,
+    layouts.COLMAP.name: colmap.read_scene,
+    layouts.NERF.name: nerf.read_scene,
+    layouts.NERFSTUDIO.name: nerfstudio.read_scene,
+}
 
 
 def read_scene(root: Path | str, downscale: float | None = None, color_space: str | None = None) -> Scene:
@@ -55,10 +47,9 @@ def read_scene(root: Path | str, downscale: float | None = None, color_space: st
         raise FileMissingError(f"the data set folder {root} does not exist", remedy)
     if not root.is_dir():
         raise FileMissingError(f"{root} is a file, not the folder of a data set", remedy)
-    for reader in READERS:
-        if reader.is_mine(root):
-            scene = with_meaning(reader.read_scene(root, downscale), color_space)
-            return with_warnings(with_words_of_points(scene))
-    looked_for = "; ".join(f"{reader.looks_for} ({reader.name})" for reader in READERS)
+    layout = layouts.layout_of(root)
+    if layout is not None:
+        scene = with_meaning(READERS[layout.name](root, downscale), color_space)
+        return with_warnings(with_words_of_points(scene))
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
-    raise FileMissingError(f"{root} {state}: looked for {looked_for}", remedy)
+    raise FileMissingError(f"{root} {state}: looked for {layouts.looked_for()}", remedy)

@@ -15,7 +15,9 @@ import numpy as np
 from ...bridge.colmap import find_model
 from ...bridge.data_set import EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError
-from .checks import path_inside
+from ...bridge.layouts import COLMAP
+from ...bridge.layouts.checks import path_inside
+from ...bridge.layouts.picture_files import PICTURES, folder_there, mask_beside, picture_there, pictures_in
 from .colmap_brackets import (
     Group,
     alike,
@@ -31,14 +33,12 @@ from .colmap_brackets import (
 from .colmap_model import SparseModel, other_models_in_words, read_model
 from .exposures import MOST_UNKNOWN, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
-from .picture_files import picture_there, pictures_in, reduced_folder
 from .poses import (
     PictureFile,
     Pose,
     Views,
     at_size_of_pictures,
     check_numbers,
-    mask_beside,
     masks_in_words,
     missing_in_words,
     numbered,
@@ -51,28 +51,10 @@ from .poses import (
 from .resize import Reduction, capped
 from .scene import Points, Scene
 
-NAME = "COLMAP"
-#: The folder of pictures. Where it is not there, that of reduced ones: ``images_4``.
-PICTURES = "images"
-LOOKS_FOR = f"{PICTURES}/ and sparse/0"
 #: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
 STEADY = 0.002
 #: Those that are turned by more than this, degrees, are as well: some five pixels of 1600.
 STEADY_TURN = 0.2
-
-
-def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout."""
-    return find_model(root) is not None and _pictures(root) is not None
-
-
-def _pictures(root: Path) -> Path | None:
-    """The folder of pictures, of reduced ones where there are only these; None where there is none."""
-    folder = root / PICTURES
-    if folder.is_dir():
-        return folder
-    reduced = reduced_folder(folder)
-    return reduced[0] if reduced else None
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -83,13 +65,13 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     Pictures of the model that are missing are left out and counted. Raises ``FileMissingError``,
     ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the file and the remedy.
     """
-    pictures = _pictures(root)
-    assert pictures is not None, "is_mine has found it"
+    pictures = folder_there(root / PICTURES)
+    assert pictures is not None, "the layout has one"
     found = read_poses(root, pictures, MOST_UNKNOWN)
     train, test, rule = split_somehow(found.poses)
     check_numbers(train, "training", pictures)
     check_numbers(test, "test", pictures)
-    return scene_of(found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale)
+    return scene_of(found, (train, test, rule), layout=COLMAP.name, anchor=None, downscale=downscale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +121,7 @@ def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPo
     poses has none to lose.
     """
     folder = find_model(root)
-    assert folder is not None, "is_mine has found it"
+    assert folder is not None, "the layout has one"
     model = read_model(folder)
     stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).exists() else None
     spread = float(np.ptp([model.camera(image).position for image in model.images], axis=0).max())

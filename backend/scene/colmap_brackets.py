@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bridge.layouts.picture_files import SUFFIXES, bracket_name
 from .camera import Camera
 from .colmap_model import SparseImage, SparseModel
-from .poses import SUFFIXES, bracket_name
 
 #: Pictures whose cameras are farther apart than this share of the cameras' spread are no bracket: a hand does
 #: not move so far.

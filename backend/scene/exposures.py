@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ...bridge.data_set import EXPOSURE_FILE, plain_name
 from ...bridge.errors import DataMismatchError
+from ...bridge.layouts.checks import exposure, read_json
 from ...bridge.limits import EXPOSURE
-from .checks import exposure, read_json
 from .exif import Exif, comparable, read_exif
 from .pictures import holds_radiance
 

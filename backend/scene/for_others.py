@@ -22,13 +22,13 @@ from PIL import Image
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.layouts.picture_files import MASKS
 from ...bridge.regular import resolved
 from .camera import Camera
 from .colmap_model import write_pinholes
 from .encoding import SRGB
 from .pictures import has_alpha, holds_radiance, is_rgb, kind_of, read_codes, write_png
 from .points import write_points
-from .poses import MASKS
 from .scene import Scene, View
 from .source import PictureSource
 

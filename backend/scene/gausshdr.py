@@ -10,9 +10,11 @@ from pathlib import Path
 
 from ...bridge.colmap import find_model
 from ...bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE, scene_name
-from ...bridge.errors import DataMismatchError, PhysHDRError
-from ...bridge.regular import read_json_object
-from .checks import path_inside
+from ...bridge.errors import DataMismatchError
+from ...bridge.layouts import GAUSSHDR as LAYOUT
+from ...bridge.layouts.checks import path_inside
+from ...bridge.layouts.picture_files import PICTURES, bracket_name, mask_beside, pose_number
+from ...bridge.layouts.truth_folders import GAUSSHDR, holds_truth
 from .colmap_model import SparseImage, read_model
 from .exposures import read_exposure_file
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
@@ -22,38 +24,19 @@ from .poses import (
     Views,
     all_sizes,
     at_size_of_pictures,
-    bracket_name,
     check_numbers,
-    mask_beside,
     masks_in_words,
     missing_in_words,
     numbered,
-    pose_number,
     split_by_name,
-    split_named,
     widest,
 )
 from .resize import Reduction, capped
 from .scene import Scene
-from .truth_folders import GAUSSHDR, holds_truth
-
-NAME = "GaussHDR"
-LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test"
 
 #: The resolutions of GaussHDR's paper, by the factor that gives them: HDR-NeRF-Syn, HDR-NeRF-Real and
 #: HDR-Plenoxels-Real. Pictures that no factor brings there are another's.
 PUBLISHED = {2: (400, 400), 4: (804, 534), 6: (992, 746)}
-
-
-def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout: all names in its exposure file say train or test."""
-    if find_model(root) is None or not (root / EXPOSURE_FILE).exists() or not (root / "images").is_dir():
-        return False
-    try:
-        names = read_json_object(root / EXPOSURE_FILE)
-    except PhysHDRError:
-        return False  # the next reader says what is wrong with it
-    return bool(names) and all(split_named(name) for name in names)
 
 
 def published_factor(width: int, height: int) -> float:
@@ -73,7 +56,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     naming the file, the entry and the remedy.
     """
     folder = find_model(root)
-    assert folder is not None, "is_mine has found it"
+    assert folder is not None, "the layout has one"
     model = read_model(folder)
     brackets, unused = _brackets(root, model.images)
     sizes = all_sizes([picture.path for bracket in brackets.values() for picture in bracket.values()])
@@ -121,7 +104,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         points=model.points,
         response_anchor=read_anchor(root, info, otherwise=ORIGINAL_ANCHOR if is_synthetic else None),
         info=info,
-        layout=NAME,
+        layout=LAYOUT.name,
         messages=tuple(message for message in messages if message),
     )
 
@@ -154,7 +137,7 @@ def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int
                 "Remove one of them.",
             )
         place[parts[1]] = PictureFile(
-            path_inside(root / "images", name, path), seconds, mask_beside(root, name)
+            path_inside(root / PICTURES, name, path), seconds, mask_beside(root, name)
         )
     brackets: dict[str, dict[int, PictureFile]] = {}
     for image in images:

@@ -8,19 +8,12 @@ added.
 
 from pathlib import Path
 
+from ...bridge.layouts import HDR_GS
+from ...bridge.layouts.picture_files import PICTURES
 from .colmap import read_poses, scene_of
 from .info import ORIGINAL_ANCHOR
 from .poses import check_numbers
 from .scene import Scene
-from .truth_folders import HDR_GS, holds_truth
-
-NAME = "HDR-GS"
-LOOKS_FOR = f"images/ with 0_0.png and so on, sparse/0 and {HDR_GS}/0.exr"
-
-
-def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout; an ``exr/`` of other names is the user's own."""
-    return holds_truth(root, HDR_GS)
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -30,14 +23,14 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     training. ``downscale``: None leaves pictures as they are up to 3DGS's limit of the width. Raises what the
     reader of COLMAP's folders raises.
     """
-    found = read_poses(root, root / "images")
+    found = read_poses(root, root / PICTURES)
     poses = sorted(found.poses, key=lambda pose: pose.name)
-    check_numbers(poses, "all", root / "images")  # their truth is in one folder
+    check_numbers(poses, "all", root / PICTURES)  # their truth is in one folder
     rule = "split as HDR-GS: poses in the order of their names as text, every second one is for testing"
     return scene_of(
         found,
         (poses[::2], poses[1::2], rule),
-        layout=NAME,
+        layout=HDR_GS.name,
         anchor=ORIGINAL_ANCHOR,
         downscale=downscale,
     )

@@ -12,33 +12,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ...bridge.axes import camera_to_world_from_llff
 from ...bridge.colmap import find_model
 from ...bridge.data_set import scene_name
-from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
-from ...bridge.limits import EXPOSURE, FOCAL_LENGTH, LARGEST_SIDE, check_position
-from ...bridge.regular import damaged_where_it_fails, regular_file
+from ...bridge.errors import DataMismatchError
+from ...bridge.layouts import HDR_NERF_REAL
+from ...bridge.layouts.llff import PICTURES, POSES_FILE, middle_row, picture_names, pinhole_of, read_rows
 from .camera import Camera
-from .checks import is_rotation
 from .colmap_model import other_models_in_words, read_model
 from .info import read_anchor, read_info
-from .poses import PictureFile, Pose, Views, bracket_name, check_numbers, fitted, missing_in_words, one_size
+from .poses import PictureFile, Pose, Views, check_numbers, fitted, missing_in_words, one_size
 from .resize import Reduction
 from .scene import Points, Scene
 
-NAME = "HDR-NeRF-Real"
-LOOKS_FOR = "poses_bounds_exps.npy"
-PICTURES = "input_images"
 #: The reduction of HDR-NeRF: 3216×2136 to 804×534.
 PUBLISHED_FACTOR = 4.0
-COLUMNS = 18
-
-COPY_AGAIN = "Copy the data set again."
-
-
-def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout."""
-    return (root / LOOKS_FOR).exists()
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -55,10 +42,10 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     folder = ready if factor > 1.0 and ready.is_dir() else root / PICTURES
     if folder is ready:
         reduction = Reduction()
-    names = _picture_names(folder)
-    rows = _read_rows(root / LOOKS_FOR, folder, names)
+    names = picture_names(folder)
+    rows = read_rows(root / POSES_FILE, folder, names)
     size = one_size([folder / name for name in names.values()])
-    poses, bracket_messages = _poses(root / LOOKS_FOR, names, rows, folder, size)
+    poses, bracket_messages = _poses(root / POSES_FILE, names, rows, folder, size)
     check_numbers(poses, "all", folder)
     if all(pose.index % 2 for pose in poses):
         raise DataMismatchError(
@@ -76,7 +63,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         "split as HDR-NeRF: even poses are for training, odd ones for testing",
         f"pictures from {folder.name}/; {made.messages[0]}",
         *made.messages[1:],
-        f"exposures from {LOOKS_FOR}",
+        f"exposures from {POSES_FILE}",
         missing_in_words(poses),
         *bracket_messages,
         *model_messages,
@@ -90,54 +77,9 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         points=points,
         response_anchor=read_anchor(root, info, otherwise=None),
         info=info,
-        layout=NAME,
+        layout=HDR_NERF_REAL.name,
         messages=tuple(message for message in messages if message),
     )
-
-
-def _picture_names(folder: Path) -> dict[tuple[int, int], str]:
-    """``{(pose, place in the bracket): file name}`` in the order of names, which is that of the rows."""
-    if not folder.is_dir():
-        raise FileMissingError(f"{folder} is missing", COPY_AGAIN)
-    names: dict[tuple[int, int], str] = {}
-    for path in sorted(folder.iterdir()):
-        # macOS leaves ._003_1.jpg beside 003_1.jpg on other systems' disks.
-        if path.suffix.lower() not in (".jpg", ".jpeg", ".png") or path.name.startswith("."):
-            continue
-        parts = bracket_name(path.name)
-        if parts is None or not parts[0].isdigit():
-            raise DataMismatchError(
-                f"{path} is not named <pose>_<exposure>, as 003_1.jpg", "Rename it, or move it away."
-            )
-        if (key := (int(parts[0]), parts[1])) in names:
-            raise DataMismatchError(f"{path} and {names[key]} are the same exposure of one pose", COPY_AGAIN)
-        names[key] = path.name
-    if not names:
-        raise FileMissingError(f"{folder} holds no pictures", COPY_AGAIN)
-    return names
-
-
-def _read_rows(path: Path, folder: Path, names: dict[tuple[int, int], str]) -> np.ndarray:
-    """``[pictures, 18]`` float64, finite."""
-    regular_file(path, COPY_AGAIN)
-    with damaged_where_it_fails(f"{path} is not a readable array", COPY_AGAIN):
-        # Mapped, not read: a header that claims more than the file holds is refused, nothing is allocated.
-        rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != COLUMNS:
-        raise FileDamagedError(
-            f"{path} has the shape {rows.shape}, not one row of {COLUMNS} a picture", COPY_AGAIN
-        )
-    if len(rows) != len(names):
-        raise DataMismatchError(
-            f"{path} has {len(rows)} rows, {folder.name}/ has {len(names)} pictures",
-            "There must be a row for each picture, in the order of names: copy what is missing again.",
-        )
-    if not np.isfinite(rows).all():
-        row = int(np.argwhere(~np.isfinite(rows))[0][0])
-        raise BadValueError(f"{path}: row {row} holds NaN or infinity", COPY_AGAIN)
-    for row, seconds in enumerate(rows[:, 17].tolist()):
-        EXPOSURE.check(seconds, f"{path}: the exposure of row {row}")
-    return rows
 
 
 def _poses(
@@ -149,8 +91,8 @@ def _poses(
     farthest = 0.0
     for number in dict.fromkeys(pose for pose, _ in names):
         places = [k for pose, k in names if pose == number]
-        middle = rows[order[number, places[len(places) // 2]]]
-        camera = fitted(_camera(path, number, middle), size, path, folder / names[number, places[0]])
+        stated = pinhole_of(path, number, middle_row(names, rows, number))
+        camera = fitted(Camera(*stated), size, path, folder / names[number, places[0]])
         pictures = {
             k: PictureFile(folder / names[number, k], float(rows[order[number, k], 17]))
             for k in sorted(places)
@@ -163,21 +105,6 @@ def _poses(
         told = f"cameras of one bracket are up to {farthest:.2g} units apart: each view takes the middle one"
         return poses, [told]
     return poses, []
-
-
-def _camera(path: Path, number: int, row: np.ndarray) -> Camera:
-    """The camera of a row, at the size that the row tells."""
-    matrix = row[:15].reshape(3, 5)
-    height, width, focal = matrix[:, 4]
-    pose = camera_to_world_from_llff(matrix[:, :4])
-    if not is_rotation(pose[:3, :3]):
-        raise BadValueError(f"{path}: pose {number} is not a rotation: {pose[:3, :3].tolist()}", COPY_AGAIN)
-    check_position(pose[:3, 3], f"{path}: the camera of pose {number}")
-    if not (1.0 <= width <= LARGEST_SIDE and 1.0 <= height <= LARGEST_SIDE and focal in FOCAL_LENGTH):
-        raise BadValueError(
-            f"{path}: pose {number} has {width:g}×{height:g} pixels, focal length {focal:g}", COPY_AGAIN
-        )
-    return Camera(pose, round(width), round(height), focal, focal, 0.5 * round(width), 0.5 * round(height))
 
 
 def _with_model(
@@ -194,7 +121,7 @@ def _with_model(
     if not any(pose.index % 2 == 0 for pose in found):
         raise DataMismatchError(
             f"{folder} has no picture of a training pose (it has {model.images[0].name} …)",
-            f"It must name pictures as {PICTURES}/ does, 000_0.jpg; or remove sparse/ to use {LOOKS_FOR}.",
+            f"It must name pictures as {PICTURES}/ does, 000_0.jpg; or remove sparse/ to use {POSES_FILE}.",
         )
     placed = []
     for pose in found:

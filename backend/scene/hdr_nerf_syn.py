@@ -13,35 +13,25 @@ from typing import Any
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
+from ...bridge.layouts import HDR_NERF_SYN
+from ...bridge.layouts.checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
+from ...bridge.layouts.transforms import frames_of, own_camera
+from ...bridge.layouts.truth_folders import truth_there
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
-from ...bridge.limits import check_level, is_number
+from ...bridge.limits import check_level
 from .camera import Camera
-from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .lens import RealCamera
-from .nerfstudio import stated_camera, stated_lens
 from .pictures import picture_size
 from .points import read_points
 from .poses import PictureFile, Pose, Views, fitted, wrong_size
 from .resize import Reduction
 from .scene import Scene
-from .truth_folders import truth_there
 
-NAME = "HDR-NeRF-Syn"
-#: What a folder must hold to be taken for this layout.
-LOOKS_FOR = f"{data_set.transforms_file(data_set.TRAIN)} and {data_set.exposure_file(data_set.TRAIN)}"
 #: The name of the layout where a ``dataset.json`` says that the data are ours.
 OURS = "PhysHDR"
 #: HDR-NeRF's pictures as they are downloaded, and its ``half_res``.
 ORIGINAL_SIZE, ORIGINAL_REDUCTION = (800, 800), 2.0
-#: Where a file states all of these, its intrinsics in pixels count. HDR-NeRF reads ``camera_angle_x`` alone:
-#: what stands beside it may be left from other pictures; pixels mean nothing without the size they are of.
-IN_PIXELS = ("w", "h", "fl_x")
-
-
-def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout: NeRF's synthetic scenes have such files, too (``nerf.py``)."""
-    return data_set.is_layout(root)
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -80,7 +70,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         response_anchor=read_anchor(root, info, otherwise=ORIGINAL_ANCHOR),
         info=info,
         lights=lights,
-        layout=OURS if info else NAME,
+        layout=OURS if info else HDR_NERF_SYN.name,
         messages=messages,
     )
 
@@ -148,17 +138,8 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
 def _read_frames(
     path: Path, transforms: dict[str, Any], lights: tuple[str, ...], is_lit: bool
 ) -> list[_Frame]:
-    entries = require(path, transforms, "frames")
-    if not isinstance(entries, list) or not entries:
-        raise FileDamagedError(f"{path}: 'frames' must be a list with at least one frame", MAKE_AGAIN)
     frames = []
-    for ordinal, entry in enumerate(entries):
-        where = f": frame {ordinal}"
-        if not isinstance(entry, dict):
-            raise FileDamagedError(f"{path}{where} is a {type(entry).__name__}, not an object", MAKE_AGAIN)
-        file_path = require(path, entry, "file_path", where)
-        if not isinstance(file_path, str):
-            raise FileDamagedError(f"{path}{where}: 'file_path' is {file_path!r:.80}, not a text", MAKE_AGAIN)
+    for ordinal, (file_path, entry) in enumerate(frames_of(path, transforms)):
         stem = data_set.stem_of(file_path)
         which = f"{ordinal} ('{stem:.80}')"
         levels = _levels(path, entry, f"frame {which}", lights, is_lit)
@@ -217,23 +198,16 @@ def _levels(
 def _camera(
     path: Path, transforms: dict[str, Any], frame: _Frame, picture: Path, size: tuple[int, int]
 ) -> tuple[Camera, RealCamera | None]:
-    """The camera at the ``size`` of its pictures, and its lens where that bends straight lines.
-
-    With all of ``IN_PIXELS``, intrinsics are those of ``transforms.json``. Else ``camera_angle_x`` is the
-    width's, and the principal point is the middle, whatever else is stated.
-    """
+    """The camera at the ``size`` of its pictures, and its lens where that bends straight lines."""
     where = f"frame '{frame.stem:.80}'"
-    stated = {key: value for key, value in (transforms | frame.entry).items() if value is not None}
-    if not all(is_number(stated.get(key)) for key in IN_PIXELS):
-        angle, matrix = transforms["camera_angle_x"], frame.entry["transform_matrix"]
-        return stated_camera(path, where, {"camera_angle_x": angle, "transform_matrix": matrix}, size), None
-    camera = stated_camera(path, where, stated, size)
-    lens = stated_lens(path, where, stated, camera)
+    stated, lens = own_camera(path, where, transforms | frame.entry, size)
     remedy = (
         f"Fix 'w' and 'h' in {path.name}, the picture size that 'fl_x' is for; or remove them: then only "
         "'camera_angle_x' counts."
     )
-    return fitted(camera, size, path, picture, remedy), None if lens is None else lens.resized(*size)
+    real = RealCamera.of(lens)
+    camera = fitted(Camera(*stated), size, path, picture, remedy)
+    return camera, None if real is None else real.resized(*size)
 
 
 def _read_exposures(path: Path) -> dict[str, dict[int, float]]:

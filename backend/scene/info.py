@@ -6,7 +6,7 @@ from typing import Any
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError
-from .checks import MAKE_AGAIN, number
+from ...bridge.layouts.checks import MAKE_AGAIN, number
 
 #: The response of HDR-NeRF-Syn at exposure × radiance = 1: the constant of its unit-exposure loss.
 ORIGINAL_ANCHOR = (1.0, 0.73)

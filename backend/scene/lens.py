@@ -63,6 +63,11 @@ def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> Mod
 class RealCamera(SparseCamera):
     """A camera as COLMAP describes it, with what pycolmap knows of it."""
 
+    @classmethod
+    def of(cls, camera: SparseCamera | None) -> "RealCamera | None":
+        """The same camera; None of None."""
+        return None if camera is None else cls(camera.model, camera.width, camera.height, camera.params)
+
     def resized(self, width: int, height: int) -> "RealCamera":
         """The same camera with photos of another size and the same shape. Needs pycolmap."""
         if (width, height) == (self.width, self.height):

@@ -13,28 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from ...bridge import data_set
-from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
+from ...bridge.errors import DataMismatchError, FileMissingError
+from ...bridge.layouts import NERF
+from ...bridge.layouts.checks import read_json
+from ...bridge.layouts.picture_files import pose_number
+from ...bridge.layouts.transforms import SPLIT_LISTS, frames_of
 from . import nerfstudio
-from .checks import MAKE_AGAIN, read_json, require
-from .poses import pose_number
 from .scene import Scene, View
 
-NAME = "NeRF-Synthetic"
-LOOKS_FOR = data_set.transforms_file(data_set.TRAIN)
 #: What stands for the names of the files in messages about all of them.
 FILES = data_set.transforms_file("*")
-#: The lists of ``transforms.json`` that say what these files say. What is for validation comes last: it is
-#: left out where it is what another list has.
-LISTS = {
-    data_set.TRAIN: "train_filenames",
-    data_set.TEST: "test_filenames",
-    data_set.VALIDATION: "val_filenames",
-}
-
-
-def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout; asked after HDR-NeRF's, which has exposures beside."""
-    return (root / LOOKS_FOR).exists()
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -46,7 +34,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     scene = nerfstudio.scene_of(root, root / FILES, _as_one(root), downscale)
     told = [
         data_set.transforms_file(split)
-        for split in LISTS
+        for split in SPLIT_LISTS
         if (root / data_set.transforms_file(split)).exists()
     ]
     return replace(
@@ -54,7 +42,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         train=_by_number(scene.train),
         test=_by_number(scene.test),
         validation=_by_number(scene.validation),
-        layout=NAME,
+        layout=NERF.name,
         of_renders=True,
         messages=(f"split as {', '.join(told)} say", *scene.messages[1:]),
     )
@@ -64,22 +52,14 @@ def _as_one(root: Path) -> dict[str, Any]:
     """The files as one ``transforms.json``: what a file says of all its frames is written into each."""
     content: dict[str, Any] = {"frames": []}
     seen: dict[str, str] = {}
-    for split, key in LISTS.items():
+    for split, key in SPLIT_LISTS.items():
         path = root / data_set.transforms_file(split)
         if not path.exists():
             continue
         of_all = read_json(path)
-        entries = require(path, of_all, "frames")
-        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-            raise FileDamagedError(f"{path}: 'frames' is not a list of objects", MAKE_AGAIN)
         shared = {name: value for name, value in of_all.items() if name != "frames"}
         names = []
-        for order, entry in enumerate(entries):
-            name = require(path, entry, "file_path", f": frame {order}")
-            if not isinstance(name, str):
-                raise FileDamagedError(
-                    f"{path}: frame {order}: 'file_path' is {name!r:.80}, not a text", MAKE_AGAIN
-                )
+        for name, entry in frames_of(path, of_all, fewest=0):
             former = seen.setdefault(data_set.stem_of(name), split)
             if former != split:
                 if split == data_set.VALIDATION:

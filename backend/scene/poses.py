@@ -5,7 +5,6 @@ Readers put cameras and files together; what is alike in all layouts is here: wh
 all, how sizes, turns and lenses are brought together, which views are for testing.
 """
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
+from ...bridge.layouts.picture_files import pose_number, split_named
+from ...bridge.layouts.truth_folders import truth_there
 from .camera import Camera
 from .exif import LYING, orientation_of, tags_of_file
 from .held_out_views import EVERY, FEWEST, held_out_places, same_places
@@ -22,13 +23,8 @@ from .pictures import picture_size
 from .resize import Reduction, is_shaped
 from .scene import PictureCache, View
 from .source import PictureSource
-from .truth_folders import truth_there
 from .undistorted import store_for
 
-#: What the names of pictures end with, in lower case.
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
-#: Beside a COLMAP model's pictures: ``masks/NAME.jpg.png`` of ``images/NAME.jpg``; black is not compared.
-MASKS = "masks"
 #: A share of each photo beyond this that no picture shows is worth a word.
 MUCH = 0.05
 
@@ -299,13 +295,6 @@ def fitted(
     return camera.resized(width, height)
 
 
-def mask_beside(root: Path, name: str) -> Path | None:
-    """The mask of the picture ``images/name``, where ``masks/`` has one: ``name.png``, or by its stem."""
-    path = root / MASKS / name
-    candidates = (path.with_name(f"{path.name}.png"), path.with_suffix(".png"))
-    return next((candidate for candidate in candidates if candidate.is_file()), None)
-
-
 def masks_in_words(poses: Iterable[Pose]) -> tuple[str, ...]:
     """How many pictures have masks, where any has."""
     files = [file for pose in poses for file in pose.pictures.values()]
@@ -316,12 +305,6 @@ def masks_in_words(poses: Iterable[Pose]) -> tuple[str, ...]:
 
 
 # ---- splits and names --------------------------------------------------------------------------------
-
-
-def split_named(name: str) -> str | None:
-    """``train`` or ``test``, where a name has one of them as a word (``train_r_0``; ``latest`` has none)."""
-    words = {word for word in re.split(r"[^a-z]+", name.lower()) if word in ("train", "test")}
-    return words.pop() if len(words) == 1 else None
 
 
 def split_by_name(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose]] | None:
@@ -372,21 +355,6 @@ def _siblings_in_words(places: Sequence[Sequence[Pose]]) -> str:
     ):
         told += ". Where these are exposure brackets, 'physhdr prepare' makes one view of each"
     return told
-
-
-def bracket_name(name: str) -> tuple[str, int, str] | None:
-    """``train_r_0_2.png`` → ``("train_r_0", 2, "png")``: pose, place in the bracket; None for other names.
-
-    One digit without a leading zero is a place; ``frame_00012`` is a pose's number.
-    """
-    parts = re.fullmatch(r"(.+)_(\d)\.([^./]+)", name)
-    return (parts.group(1), int(parts.group(2)), parts.group(3)) if parts else None
-
-
-def pose_number(name: str) -> int | None:
-    """The number at the end of a name (``train_r_12`` → 12); None where there is none."""
-    digits = re.search(r"(\d+)$", name)
-    return int(digits.group()) if digits else None
 
 
 def numbered(root: Path, poses: Sequence[Pose]) -> list[Pose]:

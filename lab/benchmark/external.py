@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ...backend.evaluate.report import FILES
-from ...backend.scene.poses import SUFFIXES
 from ...bridge import data_set
 from ...bridge.errors import BadValueError
+from ...bridge.layouts.picture_files import SUFFIXES
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
 from .plan import TUNE

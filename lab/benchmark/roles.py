@@ -6,7 +6,6 @@
 from pathlib import Path
 from typing import Any
 
-from ...backend.scene import hdr_nerf_syn
 from ...bridge import data_set
 from ...bridge.errors import BadValueError
 from ...bridge.regular import read_json_object, resolved
@@ -98,7 +97,7 @@ def _require_tuning(scene: SceneFolder, role: str) -> None:
             f"the scene '{scene.name}' is {role}: no choice is made on it, whichever its views",
             f'Tune on {may}, or on scenes of your own; a plan with kind = "report" measures it.',
         )
-    own = hdr_nerf_syn.is_mine(scene.data)
+    own = data_set.is_layout(scene.data)
     if not own or data_set.VALIDATION not in data_set.splits_there(scene.data):
         raise BadValueError(
             f"the scene '{scene.name}' has no validation views, and a plan that tunes sees no others: "

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.addon.layouts.camera_file import read_frames
-from physhdr.addon.layouts.captures import camera_places, read_capture
+from physhdr.addon.layouts.cameras import camera_places, read_frames
 from physhdr.addon.layouts.summary import summarise
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 
@@ -116,7 +115,7 @@ def test_a_prepared_capture(prepared):
         "Starts from 1 points",
     ]
     assert not found.warnings and found.layout == "photographs"
-    np.testing.assert_allclose(camera_places(prepared), PLACES, atol=1e-12)
+    np.testing.assert_allclose(camera_places(prepared), PLACES[[2, 0, 1, 3]], atol=1e-12)
     (prepared / "images/train_003_4.png").unlink()
     assert "Pictures are missing (1): train_003_4.png" in summarise(prepared).warnings[0]
 
@@ -148,6 +147,7 @@ def test_a_folder_of_colmap(tmp_path, binary):
     ],
 )
 def test_a_lens_that_bends_lines_is_told_of(tmp_path, camera, is_told):
+    (tmp_path / "images").mkdir()
     sparse(tmp_path, ["view0.jpg"], binary=False)
     (tmp_path / "sparse/0/cameras.txt").write_text(f"1 {camera}\n")
     found = read_frames(tmp_path)
@@ -162,7 +162,7 @@ def test_of_several_models_the_largest_counts_as_for_the_trainer(tmp_path):
     (tmp_path / "sparse/0").rename(tmp_path / "sparse/7")
     sparse(tmp_path, [f"view{k}.jpg" for k in range(4)], binary=False)
     (tmp_path / "sparse/0").rename(tmp_path / "sparse/11")
-    assert summarise(tmp_path).views == {"all": 4}
+    assert summarise(tmp_path).views == {"views": 4}
     assert [frame.name for frame in read_frames(tmp_path).frames] == [f"view{k}" for k in range(4)]
 
 
@@ -197,13 +197,13 @@ def test_nerfs_synthetic_scenes(lego):
     (lego / "transforms_test.json").unlink()
     assert summarise(lego).views == {"train": 2, "test": 1}, "validation's, as the trainer has it"
     (lego / "train/r_1.png").unlink()
-    assert "Pictures are missing (1): train/r_1; they are left out." in summarise(lego).warnings
+    assert "Pictures are missing (1): train/r_1; they are ignored." in summarise(lego).warnings
 
 
 def test_a_transforms_file_with_frames_that_have_no_picture(transforms):
     found = summarise(transforms)
-    assert found.lines == [f"{transforms.name}: 3 views, 1080 × 1920, transforms.json"]
-    told = "Pictures are missing (1): images/0003.jpg; they are left out."
+    assert found.lines == [f"{transforms.name}: 3 views, 1080 × 1920, nerfstudio"]
+    told = "Pictures are missing (1): images/0003.jpg; they are ignored."
     assert found.warnings == (told,)
     np.testing.assert_array_equal(camera_places(transforms), PLACES[:3])
     for picture in transforms.glob("images/*"):
@@ -219,7 +219,7 @@ def test_exposures_of_many_views_are_told_by_their_ends(transforms):
     ]
     for k in range(9):
         (transforms / f"images/a{k}.png").write_bytes(png(6, 4))
-    (transforms / "transforms.json").write_text(json.dumps({"frames": frames}))
+    (transforms / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": frames}))
     lines = summarise(transforms).lines
     assert lines[1:3] == [
         "9 exposures: EV -8 to +0",
@@ -232,12 +232,12 @@ def test_poses_of_llff(tmp_path):
     rows = np.zeros((4, 18))
     for index, place in enumerate(PLACES):
         pose = np.zeros((3, 5))
-        pose[:, :3], pose[:, 3] = rotation(index)[1], place
+        pose[:, :3], pose[:, 3], pose[:, 4] = rotation(index)[1], place, (4, 6, 9)
         rows[index, :15], rows[index, 17] = pose.reshape(-1), 0.25 * 2.0**index
         (tmp_path / f"input_images/{index:03d}_0.png").write_bytes(png(6, 4))
     np.save(tmp_path / "poses_bounds_exps.npy", rows)
     found = summarise(tmp_path)
-    assert found.lines[0] == f"{tmp_path.name}: 4 views, 6 × 4, HDR-NeRF-Real"
+    assert found.lines[0] == f"{tmp_path.name}: 2 training views, 2 test, 6 × 4"
     assert found.exposures == (0.25, 0.5, 1.0, 2.0)
     np.testing.assert_array_equal(camera_places(tmp_path), PLACES)
     # With COLMAP's model beside them, the trainer's world is that of the model, and has its pictures alone.
@@ -249,7 +249,7 @@ def test_poses_of_llff(tmp_path):
     )
     assert summarise(tmp_path).points is not None
     np.save(tmp_path / "poses_bounds_exps.npy", rows[:, :4])
-    with pytest.raises(FileDamagedError, match="not a table"):
+    with pytest.raises(FileDamagedError, match="not one row of 18"):
         summarise(tmp_path)
 
 
@@ -257,7 +257,10 @@ def test_cameras_of_a_data_set_of_ours(tmp_path):
     for split, rows in (("train", PLACES[:3]), ("test", PLACES[3:])):
         poses = [np.block([[np.eye(3), row[:, None]], [np.zeros(3), 1.0]]).tolist() for row in rows]
         frames = [{"file_path": "x", "transform_matrix": pose} for pose in poses]
-        (tmp_path / f"transforms_{split}.json").write_text(json.dumps({"frames": frames}))
+        (tmp_path / f"transforms_{split}.json").write_text(
+            json.dumps({"camera_angle_x": 0.9, "frames": frames})
+        )
+    (tmp_path / "exposure_train.json").write_text("{}")
     np.testing.assert_array_equal(camera_places(tmp_path), PLACES)
 
 
@@ -276,7 +279,7 @@ def test_a_model_with_any_byte_wrong_is_read_or_refused(prepared, fuzzing):
     for case, content in enumerate(cases):
         path.write_bytes(content)
         try:
-            assert np.isfinite(read_capture(prepared).places).all(), f"case {case}"
+            assert np.isfinite(camera_places(prepared)).all(), f"case {case}"
         except PhysHDRError as error:
             assert "images.bin" in error.message, f"case {case}"
         try:

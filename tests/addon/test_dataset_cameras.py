@@ -16,7 +16,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.capture import dataset_cameras, placement  # noqa: E402
-from physhdr.addon.layouts import camera_file  # noqa: E402
+from physhdr.addon.layouts import cameras  # noqa: E402
 from physhdr.addon.model import origin  # noqa: E402
 from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError  # noqa: E402
@@ -347,7 +347,7 @@ def test_what_a_camera_cannot_show_is_told(run):
     content = {"w": 8, "h": 8, "fl_x": 9.0, "k1": 0.1, "frames": frames, "train_filenames": ["a.png"]}
     path = run.parent / "data/transforms.json"
     path.write_text(json.dumps(content))
-    found = camera_file.read_frames(path.parent)
+    found = cameras.read_frames(path.parent)
     assert [frame.split for frame in found.frames] == ["train", "views"]
     assert len(found.notes) == 1 and "bends" in found.notes[0]
 
@@ -357,7 +357,7 @@ def test_without_a_list_of_training_views_frames_in_no_list_are_those(run):
     content = {"w": 8, "h": 8, "fl_x": 9.0, "frames": frames, "test_filenames": ["a.png"]}
     path = run.parent / "data/transforms.json"
     path.write_text(json.dumps(content))
-    assert [frame.split for frame in camera_file.read_frames(path.parent).frames] == ["test", "train"]
+    assert [frame.split for frame in cameras.read_frames(path.parent).frames] == ["test", "train"]
 
 
 def test_set_up_render_names_a_camera_that_is_none(registered, run):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.addon.layouts.camera_file import read_pose
+from physhdr.addon.layouts.cameras import read_pose
 from physhdr.addon.layouts.summary import summarise
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 
@@ -172,10 +172,14 @@ def test_what_is_wrong_is_told(folder, spoil, told):
 @pytest.mark.parametrize(
     ("spoil", "kind", "told"),
     [
-        (lambda f: (f / "transforms_train.json").unlink(), FileMissingError, "no transforms_train.json"),
+        (
+            lambda f: (f / "transforms_train.json").unlink(),
+            FileMissingError,
+            "looked for transforms_train.json",
+        ),
         (lambda f: (f / "transforms_test.json").write_text("{"), FileDamagedError, "transforms_test.json"),
         (lambda f: (f / "transforms_test.json").write_text("[]"), FileDamagedError, "not an object"),
-        (lambda f: (f / "transforms_test.json").write_text("{}"), FileDamagedError, "no list 'frames'"),
+        (lambda f: (f / "transforms_test.json").write_text("{}"), FileDamagedError, "has no 'frames'"),
         (lambda f: (f / "exposure_test.json").write_bytes(b"\xff"), FileDamagedError, "exposure_test.json"),
         (lambda f: (f / "dataset.json").write_text('{"format": "x"}'), BadValueError, "format 'x'"),
         (lambda f: (f / "dataset.json").write_text('{"version": 2}'), BadValueError, "version 2"),
@@ -280,7 +284,7 @@ def test_camera_files(folder, fuzzing, never_waits):
     matrix[2][3] = 3e38
     path.write_text(json.dumps(whole))
     edit(path, lambda content: content["frames"][1].update(transform_matrix=matrix))
-    with pytest.raises(BadValueError, match=r"camera 1 is at .*3e\+38.*(.|\n)*origin"):
+    with pytest.raises(BadValueError, match=r"camera of frame 1 is at .*3e\+38.*(.|\n)*origin"):
         read_pose(path, 1)
     path.unlink()
     os.mkfifo(path)

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from physhdr.addon.layouts.camera_file import Frame
+from physhdr.addon.layouts.cameras import Frame
 from physhdr.addon.light import probe_checks, probe_render
 from physhdr.addon.model import nodes
 from physhdr.addon.model.drawn import drawn_of

@@ -256,7 +256,7 @@ class Window:
 
     def look_through(self, transforms: Path, index: int) -> bpy.types.Object:
         """Put the data set's camera into the scene, and look through it."""
-        pose = self.module("addon.layouts.camera_file").read_pose(transforms, index)
+        pose = self.module("addon.layouts.cameras").read_pose(transforms, index)
         render = self.module("addon.rendering.render")
         camera = render.add_camera(bpy.context.scene, pose.camera_to_world, pose.angle_x)
         render.set_resolution(bpy.context.scene, 400, 400)

@@ -79,7 +79,7 @@ def test(window: Window) -> Iterator[float]:
 def set_ground(window: Window, target: bpy.types.Object) -> Iterator[float]:
     """Pick three points of the floor with the mouse; then the height of the cameras sets the scale."""
     view = window.region.data
-    places = window.module("addon.layouts.captures").camera_places(Path(target.data["physhdr_capture"]))
+    places = window.module("addon.layouts.cameras").camera_places(Path(target.data["physhdr_capture"]))
     position = window.module("addon.model.point_cloud").read_attribute(target.data, "position")
     # From the middle one of its cameras, to the middle of what they saw.
     place = places[len(places) // 2]

@@ -148,7 +148,7 @@ def attempt(action) -> str:
 
 def render(options: argparse.Namespace, target: bpy.types.Object) -> None:
     """The imported Gaussians at level 4 from the first test camera, as Cycles draws them."""
-    nodes, drawing, cameras = module("model.nodes"), module("rendering.render"), module("layouts.camera_file")
+    nodes, drawing, cameras = module("model.nodes"), module("rendering.render"), module("layouts.cameras")
     scene = bpy.context.scene
     pose = cameras.read_pose(options.data / "transforms_test.json", 0)
     for other in [other for other in scene.objects if other != target]:

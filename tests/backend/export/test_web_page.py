@@ -144,7 +144,7 @@ def test_up_is_z_where_that_is_known():
 
 def test_worlds_of_structure_from_motion_stand_as_their_cameras_do(tmp_path):
     scene = Scene(tmp_path, "x", [], [], [])
-    known = {layout: web.is_upright(replace(scene, layout=layout)) for layout in (r.name for r in READERS)}
+    known = {layout: web.is_upright(replace(scene, layout=layout)) for layout in READERS}
     assert [layout for layout, upright in known.items() if upright] == ["HDR-NeRF-Syn", "NeRF-Synthetic"]
     ours = replace(scene, layout="COLMAP", info={"generator": {}})
     assert web.is_upright(ours) and web.is_upright(replace(scene, layout="PhysHDR"))

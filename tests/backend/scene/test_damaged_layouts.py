@@ -230,7 +230,7 @@ NERFSTUDIO: list[Case] = [
     ("empty", edit("transforms.json", lambda c: c.update(frames=[])), FileDamagedError,
      ("at least one frame",)),
     ("frame", edit("transforms.json", lambda c: c["frames"].append(3)), FileDamagedError,
-     ("frame 3 is a int",)),
+     ("frame 3 is not an object",)),
     ("twice", edit("transforms.json", lambda c: c["frames"].append(c["frames"][0])), DataMismatchError,
      ("two frames have the picture",)),
     ("no pose", frame(1, transform_matrix=None), FileDamagedError, ("no 'transform_matrix'", "frame_00001")),

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterable, Sequence
+from fnmatch import fnmatch
 from io import BytesIO
 from itertools import product
 from pathlib import Path
@@ -22,6 +23,7 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from physhdr.addon.layouts.cameras import read_frames
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
@@ -30,9 +32,11 @@ from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.capture.exposures import exposures_from_exif
 from physhdr.backend.scene.capture.photos import find_photos
 from physhdr.backend.scene.gausshdr import published_factor
-from physhdr.backend.scene.truth_folders import FOLDERS
 from physhdr.bridge import data_set
 from physhdr.bridge.errors import BadValueError, DataMismatchError
+from physhdr.bridge.layouts import layout_of
+from physhdr.bridge.layouts.picture_files import SUFFIXES
+from physhdr.bridge.layouts.truth_folders import FOLDERS
 
 #: Pixels by which a spot's measured centre may be off: JPEG, 8 bits and, where reduced, resampling.
 HIT = 0.06
@@ -88,6 +92,42 @@ def test_each_layout_has_its_split_and_anchor(
     assert any("split" in message for message in scene.messages)
     assert any("exposures" in message for message in scene.messages)
     assert any("pictures" in message for message in scene.messages)
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_nothing_is_read_but_what_the_table_of_layouts_names(
+    layouts: ModuleType, tmp_path: Path, writer: str
+) -> None:
+    root = getattr(layouts, writer)(tmp_path / "data")
+    layout = layout_of(root)
+    before = read_scene(root)
+    assert layout is not None and before.layout == layout.name
+    for path in [path for path in root.rglob("*") if path.is_file() and path.suffix not in SUFFIXES]:
+        if not any(fnmatch(path.relative_to(root).as_posix(), pattern) for pattern in layout.reads):
+            path.unlink()
+    after = read_scene(root)
+    assert [view.name for view in after.train + after.test] == [
+        view.name for view in before.train + before.test
+    ]
+    assert after.messages == before.messages
+    assert (after.points is None) == (before.points is None)
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_the_extension_sees_the_cameras_that_are_trained_with(
+    layouts: ModuleType, tmp_path: Path, writer: str
+) -> None:
+    root = getattr(layouts, writer)(tmp_path / "data")
+    scene, frames = read_scene(root, 1), read_frames(root).frames
+    for split in ("train", "test", "val"):
+        for view in scene.splits[split]:
+            pose = view.camera.camera_to_world
+            same = [frame for frame in frames if np.allclose(frame.camera_to_world, pose, atol=1e-9)]
+            assert same and {frame.split for frame in same} <= {split, "views"}, view.name
+            scale = view.camera.width / same[0].width
+            theirs = np.array([same[0].fx, same[0].fy, same[0].cx, same[0].cy]) * scale
+            camera = view.camera
+            np.testing.assert_allclose(theirs, [camera.fx, camera.fy, camera.cx, camera.cy], rtol=1e-6)
 
 
 @pytest.mark.parametrize("writer", ["write_syn", "write_gausshdr", "write_hdr_gs"])
@@ -773,8 +813,8 @@ def test_nerfstudio_never_trains_on_frames_that_are_listed_for_something_else(
     assert [view.index for view in scene.test] == held_out[-1:]
     assert [view.index for view in scene.validation] == held_out[:-1]
     assert scene.messages[0] == (
-        f"split as {' and '.join(listed)} say: the other {9 - len(lists)} frames are trained on, for no list "
-        "says which are"
+        f"split as {' and '.join(sorted(listed))} say: training on the other {9 - len(lists)} frames, "
+        "because no list says which to train on"
     )
 
 

@@ -103,7 +103,7 @@ def test_inspect_finds_no_fault(lego: Path) -> None:
         (
             lambda root: edit(root / "transforms_test.json", lambda c: c.update(frames=[3])),
             FileDamagedError,
-            "transforms_test.json: 'frames' is not a list of objects",
+            "transforms_test.json: frame 0 is not an object: 3",
             "",
         ),
         (

@@ -159,7 +159,7 @@ def summarise(folder: Path, _: str, __: bytes) -> None:
 
 def pose(folder: Path, file: str, _: bytes) -> None:
     """A camera for Blender."""
-    from physhdr.addon.layouts.camera_file import read_pose
+    from physhdr.addon.layouts.cameras import read_pose
 
     found = read_pose(folder / "transforms_train.json", 1)
     _require(bool(np.isfinite(found.camera_to_world).all()), "a pose is not finite")

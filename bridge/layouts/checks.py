@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ...bridge import limits
-from ...bridge.data_set import plain_name
-from ...bridge.errors import BadValueError, FileDamagedError
-from ...bridge.regular import read_json_object
+from .. import limits
+from ..data_set import plain_name
+from ..errors import BadValueError, FileDamagedError
+from ..regular import read_json_object
 
 #: A rotation's columns may be this far from orthonormal: poses are written with about six digits.
 RIGID_TOLERANCE = 1e-3

@@ -9,8 +9,8 @@ import os
 import re
 from pathlib import Path
 
-from ...bridge import data_set
-from ...bridge.colmap import find_model
+from .. import data_set
+from ..colmap import find_model
 
 #: GaussHDR's packaging; HDR-GS's, which has all poses in one folder.
 GAUSSHDR, HDR_GS = "images_hdr", "exr"
