@@ -80,6 +80,15 @@ def equal_warm_starts_are_one() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def kernels_run_on_one_thread() -> None:
+    """Pictures are too small for more, which only wait for each other; results are the same bits."""
+    if importlib.util.find_spec("torch") is not None:
+        from physhdr.backend.simd import set_threads
+
+        set_threads(1)
+
+
 @pytest.fixture
 def never_waits() -> Iterator[None]:
     """Fails a test that waits for ever, as a read of a FIFO does, instead of hanging the suite."""

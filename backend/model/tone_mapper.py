@@ -19,6 +19,7 @@ from ..kernels.mlp import Activation, can_tabulate, curve_knots, curve_mlp, curv
 from ..kernels.pointwise import corrected, log_of_exposure
 from ..kernels.ssim import PixelError, SsimTarget
 from ..scene.encoding import SRGB
+from .adam import Adam, Group
 from .radiance import SmallNetwork
 
 #: Added to exposed radiance before its logarithm, as in GaussHDR.
@@ -348,14 +349,14 @@ class ToneMapper(Response):
             return
         generator = torch.Generator().manual_seed(seed)
         curves = [self.w1, self.b1, self.w2, self.b2]
-        optimiser = torch.optim.Adam(curves, lr=WARM_START_LEARNING_RATE)
+        optimiser = Adam([Group("curves", curves, WARM_START_LEARNING_RATE)])
         for _ in range(self.config.warm_start_steps):
             x = torch.empty(3, WARM_START_BATCH).uniform_(
                 -WARM_START_RANGE, WARM_START_RANGE, generator=generator
             )
             target = nn.functional.softplus(x).clamp(0.0, 1.0)
             error = torch.linalg.vector_norm(self.curve_logits(x).sigmoid() - target, dim=0).mean()
-            optimiser.zero_grad(set_to_none=True)
+            optimiser.clear_gradients()
             error.backward()
             optimiser.step()
         self.zero_grad(set_to_none=True)  # the training's first step must not find these gradients

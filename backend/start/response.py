@@ -228,9 +228,10 @@ def _solved(seen: _Equations, at: float, value: float, begin: np.ndarray, expect
     gauge = np.maximum(1.0 - np.abs(_CODE - passes), 0.0)
     normal_of_prior = bends.T @ bends + GAUGE * np.outer(gauge, gauge)
     right_of_prior = bends.T @ (bends @ expected) + GAUGE * gauge * value
-    curve, residual = begin, np.zeros(len(rows))
+    curve: np.ndarray = begin
+    residual: np.ndarray = np.zeros(len(rows))
     for _ in range(ROUNDS):
-        slope = np.maximum(np.gradient(curve), 1e-3)  # per code
+        slope: np.ndarray = np.maximum(np.gradient(curve), 1e-3)  # per code
         variance = np.square(np.interp(seen.dark, _CODE, slope)) * (seen.error**2 + CODE_ERROR**2)
         variance += np.square(slope[seen.bright] * CODE_ERROR)
         weight = 1.0 / (variance * (1.0 + residual**2 / (TOLERANCE**2 * variance)))

@@ -9,6 +9,7 @@ import torch
 
 from ..bounds import FromZero
 from ..methods.base import Method
+from ..model.adam import Adam, Group
 from ..model.backbone import Backbone
 from ..model.rates import Rate
 
@@ -94,11 +95,8 @@ class Optimiser:
         if config.networks_times != 1.0:
             for name in method.network_groups().keys() & self.rates.keys():
                 self.rates[name] = self.rates[name].times(config.networks_times)
-        self.adam = torch.optim.Adam(
-            [{"name": name, "params": params, "lr": 0.0} for name, params in groups.items()],
-            lr=0.0,
-            eps=method.adam_epsilon,
-            fused=True,
+        self.adam = Adam(
+            [Group(name, list(params)) for name, params in groups.items()], method.adam_epsilon, fused=True
         )
 
     def learning_rate(self, name: str, iteration: int) -> float:
@@ -107,10 +105,10 @@ class Optimiser:
 
     def step(self, iteration: int) -> None:
         """Apply the gradients that are there with the rates of ``iteration``, then clear them."""
-        for group in self.adam.param_groups:
-            group["lr"] = self.learning_rate(group["name"], iteration)
+        for group in self.adam.groups:
+            group.lr = self.learning_rate(group.name, iteration)
         self.adam.step()
-        self.adam.zero_grad(set_to_none=True)
+        self.adam.clear_gradients()
 
     def resample(self, backbone: Backbone, source: torch.Tensor, fresh: torch.Tensor) -> None:
         """Make primitive j a copy of the old primitive ``source[j]``, moments included.
@@ -119,8 +117,8 @@ class Optimiser:
         pruning and reordering are all of this form.
         """
         parameters = backbone.parameters
-        for group in self.adam.param_groups:
-            name = group["name"]
+        for group in self.adam.groups:
+            name = group.name
             if name not in parameters:
                 continue
             old = parameters[name]
@@ -132,7 +130,7 @@ class Optimiser:
                     moved[fresh] = 0.0
                     state[moment] = moved
                 self.adam.state[new] = state
-            group["params"] = [new]
+            group.params = [new]
             parameters[name] = new
 
     def clear_moments(self, tensor: torch.Tensor) -> None:
@@ -145,9 +143,9 @@ class Optimiser:
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Adam's state as named tensors, for a checkpoint."""
         return {
-            f"{ADAM}{group['name']}.{index}.{key}": value
-            for group in self.adam.param_groups
-            for index, tensor in enumerate(group["params"])
+            f"{ADAM}{group.name}.{index}.{key}": value
+            for group in self.adam.groups
+            for index, tensor in enumerate(group.params)
             for key, value in self.adam.state.get(tensor, {}).items()
         }
 
@@ -157,9 +155,9 @@ class Optimiser:
         Adam knows all of a parameter or nothing: those of which ``tensors`` has nothing are left out.
         """
         like: dict[str, torch.Tensor] = {}
-        for group in self.adam.param_groups:
-            for index, tensor in enumerate(group["params"]):
-                prefix = f"{ADAM}{group['name']}.{index}."
+        for group in self.adam.groups:
+            for index, tensor in enumerate(group.params):
+                prefix = f"{ADAM}{group.name}.{index}."
                 if any(name.startswith(prefix) for name in tensors):
                     like[f"{prefix}step"] = torch.tensor(0.0)
                     like |= {f"{prefix}{moment}": tensor for moment in MOMENTS}
@@ -168,9 +166,9 @@ class Optimiser:
     def load_state_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_tensors`` gave; parameters that had no state then have none now."""
         self.adam.state.clear()
-        for group in self.adam.param_groups:
-            for index, tensor in enumerate(group["params"]):
-                prefix = f"{ADAM}{group['name']}.{index}."
+        for group in self.adam.groups:
+            for index, tensor in enumerate(group.params):
+                prefix = f"{ADAM}{group.name}.{index}."
                 state = {k[len(prefix) :]: v.clone() for k, v in tensors.items() if k.startswith(prefix)}
                 if state:
                     self.adam.state[tensor] = state

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ...backend.evaluate.comparison import Column, ComparedRun, column
 
@@ -83,7 +83,7 @@ def _interval(values: Sequence[float]) -> tuple[float, float] | None:
     """Student's, of the mean of ``values``; None of a single one."""
     if len(values) < 2:
         return None
-    quantile = float(student.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
+    quantile = float(stdtrit(len(values) - 1, 0.5 + 0.5 * CONFIDENCE))
     reach = quantile * statistics.stdev(values) / math.sqrt(len(values))
     mean = statistics.fmean(values)
     return mean - reach, mean + reach

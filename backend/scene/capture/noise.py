@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 #: Photosites of one colour along each side of a block: 144 independent differences.
 BLOCK = 24
@@ -63,7 +63,7 @@ def estimated(planes: Iterable[np.ndarray]) -> Noise | None:
     x, y, count = np.array(points).T
     # The quantile of a variance that is estimated from so many differences, were all blocks flat.
     free = (BLOCK // 2) ** 2
-    y = y / (chi2.ppf(FLAT, free) / free)
+    y = y / (2.0 * gammaincinv(free / 2.0, FLAT) / free)
     weight = np.sqrt(count) / np.maximum(y, y.max() * 1e-6)  # each variance is known to a share of itself
     slope, offset = np.linalg.lstsq(np.stack([x, np.ones_like(x)], axis=1) * weight[:, None], y * weight)[0]
     if slope < 0.0:

@@ -195,25 +195,23 @@ def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys
     assert [row["levels"] for row in rows][2] == {"ambient": 8.0, "pendant": 0.0}
 
 
-@pytest.mark.parametrize("sent", [["SIGINT"], ["SIGXCPU", "SIGXCPU"]])
-def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path, sent):
-    """A real CTRL-C; the limit of its CPU time, which is repeated (others: tests/bridge/test_signals.py)."""
+def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
+    """A real CTRL-C; other signals, and repeated ones: tests/bridge/test_signals.py."""
     folder = tmp_path / "run"
     physhdr = Path(sys.executable).with_name("physhdr")
     command = [physhdr, "train", tiny_data, "--out", folder]
-    process = subprocess.Popen([str(c) for c in command] + ["--iterations", "300"], stdout=subprocess.PIPE)
+    process = subprocess.Popen([str(c) for c in command] + ["--iterations", "150"], stdout=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (folder / "log.jsonl").exists() or '"progress"' not in (folder / "log.jsonl").read_text():
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.1)
-    for name in sent:
-        process.send_signal(getattr(signal, name))
+    process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 130 and b"--resume" in output
     stopped_at = int(load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"])
-    assert 0 < stopped_at < 300
+    assert 0 < stopped_at < 150
     assert main(["train", "--resume", str(folder)]) == 0
-    assert load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"] == "300"
+    assert load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"] == "150"
 
 
 def test_an_option_that_a_resumed_run_would_not_read_is_refused(run, tiny_data, capsys):
@@ -299,7 +297,7 @@ def test_the_version_is_said(capsys):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has another error for it")
-@pytest.mark.parametrize("words", [["train", "--help"], ["--version"], ["inspect", "{data}"]])
+@pytest.mark.parametrize("words", [["train", "--help"], ["inspect", "{data}"]])
 def test_a_reader_that_has_enough_is_no_error(words, tiny_data):
     """physhdr train --help | head"""
     command = [sys.executable, "-c", MAIN]
@@ -319,11 +317,12 @@ def test_a_reader_that_has_enough_is_no_error(words, tiny_data):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells close streams so")
-@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
-def test_without_standard_streams_a_training_is_done(tiny_data, tmp_path, closed):
+def test_without_standard_streams_a_training_is_done(tiny_data, tmp_path):
     train = ["train", str(tiny_data), "--out", str(tmp_path / "run"), "--iterations", "2"]
     command = shlex.join([sys.executable, "-c", MAIN, *train])
-    done = subprocess.run(["sh", "-c", f"{command} {closed}"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["sh", "-c", f"{command} <&- >&- 2>&-"], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "run" / "checkpoint.safetensors").exists()
 

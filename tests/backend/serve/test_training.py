@@ -58,7 +58,7 @@ from physhdr.bridge.messages import (
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.run_folder import VIEWS_FILE
 
-ITERATIONS = 260  # densification is due at 100
+ITERATIONS = 140  # densification is due at 100
 CHECKPOINT = "checkpoint.safetensors"
 
 
@@ -111,7 +111,7 @@ def test_a_steered_training_is_bit_identical(backend, enter, refusal, tiny_data,
     assert peer.status.run == str(out) and peer.status.state == "preparing"  # known before the reply
     peer.wait_for("training", "failed")
     assert refusal(peer, start_of(tiny_data, tmp_path / "other")).code == "busy"
-    reach(peer, 40)
+    reach(peer, 30)
 
     assert peer.ask(TrainPause()) == Done()
     assert peer.status.state == "paused"
@@ -125,10 +125,10 @@ def test_a_steered_training_is_bit_identical(backend, enter, refusal, tiny_data,
     assert exported == Exported(path=exported.path, gaussians=model.count, iteration=paused_at)
     assert peer.ask(TrainContinue()) == Done() and peer.status.state == "training"
 
-    reach(peer, 110)
+    reach(peer, 105)
     assert peer.ask(TrainStop()) == Done()
     stopped = peer.wait_for("stopped")
-    assert 110 <= stopped.iteration == stopped.saved_iteration < ITERATIONS and stopped.has_model
+    assert 105 <= stopped.iteration == stopped.saved_iteration < ITERATIONS and stopped.has_model
     assert load_checkpoint(out / CHECKPOINT)[1]["iteration"] == str(stopped.iteration)
     peer.preview(PreviewRequest(sequence=2000, camera=camera()))
     assert refusal(peer, TrainStop()).code == "no_job"
@@ -138,7 +138,7 @@ def test_a_steered_training_is_bit_identical(backend, enter, refusal, tiny_data,
     other.ask(ControlTake())
     other.ask(TrainResume(run=str(out)))
     other.wait_for("training", "failed")
-    reach(other, 180)
+    reach(other, 120)
     finished = other.wait_for("finished", "failed")
     assert finished.iteration == ITERATIONS and finished.saved_iteration == ITERATIONS
     assert finished.monitor["PSNR"] > 5.0 and finished.failure is None
@@ -162,11 +162,11 @@ def test_killed_in_the_middle_it_resumes_from_the_checkpoint(start, enter, tiny_
     first = start(home=home)
     peer = enter(first)
     peer.ask(start_of(tiny_data, out))
-    peer.until(lambda: peer.status.iteration >= 60)
+    peer.until(lambda: peer.status.iteration >= 40)
     peer.ask(TrainStop())
     saved = peer.wait_for("stopped").iteration
     peer.ask(TrainResume(run=str(out)))
-    peer.until(lambda: peer.status.iteration >= saved + 40)
+    peer.until(lambda: peer.status.iteration >= saved + 20)
     first.end(signal.SIGKILL)
     assert (home / "connection.json").exists()  # stale
     assert load_checkpoint(out / CHECKPOINT)[1]["iteration"] == str(saved)

@@ -38,29 +38,22 @@ from physhdr.bridge.errors import (
 from physhdr.lab.anchors.config import AnchorsConfig
 from physhdr.lab.peers.hdr_nerf import HDRNeRFConfig
 
-#: Presets that differ from others in numbers only.
-SAME_OTHERWISE = "-short"
-#: Those on anchors and HDR-NeRF are resumed in the tests of their own.
-ON_GAUSSIANS = [
-    name
-    for name, config in PRESETS.items()
-    if config.backbone.name == "gaussians"
-    and not isinstance(config.method, HDRNeRFConfig)
-    and not name.endswith(SAME_OTHERWISE)
-]
+#: One preset of each method on Gaussians; others differ from them in numbers alone.
+ON_GAUSSIANS = ["default", "baseline", "paper", "gausshdr", "hdr-gs"]
 #: HDR-NeRF at its published size is too slow for a test; the small one is the same code.
-EVERY_METHOD = [name for name in PRESETS if name != "hdr-nerf" and not name.endswith(SAME_OTHERWISE)]
+EVERY_METHOD = [*ON_GAUSSIANS, "default-scaffold", "hdr-nerf-small"]
+ON_ANCHORS = [f"{name}-scaffold" for name in ("baseline", "paper", "gausshdr")]
 
 
-def short(preset: str, iterations: int = 40, **changes):
+def short(preset: str, iterations: int = 24, **changes):
     """A preset, shortened so that densification and an opacity reset still happen."""
     config = PRESETS[preset]
     if isinstance(config.backbone, GaussiansConfig):
         density = dataclasses.replace(
-            config.backbone, start=5, every=10, stop=0.8, threshold=1e-5, reset_every=25, prune_scale=10.0
+            config.backbone, start=5, every=6, stop=0.8, threshold=1e-5, reset_every=15, prune_scale=10.0
         )
         config = dataclasses.replace(config, backbone=density)
-    return dataclasses.replace(config, iterations=iterations, sh_degree_every=10, **changes)
+    return dataclasses.replace(config, iterations=iterations, sh_degree_every=6, **changes)
 
 
 def train(scene, config, folder, stop_at=None):
@@ -84,10 +77,10 @@ def assert_identical(first, second):
 
 
 def test_a_schedule_given_for_another_length_is_stretched(tiny_data, tmp_path):
-    """For 400 iterations, in a training of 40: each step is a tenth, and nothing else differs."""
+    """For 240 iterations, in a training of 24: each step is a tenth, and nothing else differs."""
     config = short("paper")
-    steps = dataclasses.replace(config.backbone, start=50, every=100, reset_every=250)
-    given = dataclasses.replace(config, backbone=steps, sh_degree_every=100, schedule_for=400)
+    steps = dataclasses.replace(config.backbone, start=50, every=60, reset_every=150)
+    given = dataclasses.replace(config, backbone=steps, sh_degree_every=60, schedule_for=240)
     scene = read_scene(tiny_data)
     for name, each in (("plain", config), ("stretched", given)):
         train(scene, each, tmp_path / name)
@@ -115,8 +108,8 @@ def test_steps_of_a_stretched_schedule_are_whole_and_at_least_one():
 def test_a_stopped_and_resumed_run_is_bit_identical(preset, data, request, tmp_path):
     scene, config = read_scene(request.getfixturevalue(data)), short(preset)
     whole = train(scene, config, tmp_path / "whole")
-    train(scene, config, tmp_path / "parts", stop_at=17)
-    assert load_checkpoint(tmp_path / "parts" / CHECKPOINT_FILE)[1]["iteration"] == "17"
+    train(scene, config, tmp_path / "parts", stop_at=10)
+    assert load_checkpoint(tmp_path / "parts" / CHECKPOINT_FILE)[1]["iteration"] == "10"
     resumed = Trainer(scene, config, resumed=tmp_path / "parts")
     for _ in resumed.run(tmp_path / "parts"):
         pass
@@ -136,8 +129,9 @@ def test_a_resumed_training_searches_no_points_and_goes_on_counting_seconds(tiny
     assert not last.stopped and last.iteration == 12
 
 
-# The small HDR-NeRF is the same method; the published sizes would take ten minutes here.
-@pytest.mark.parametrize("preset", EVERY_METHOD)
+@pytest.mark.parametrize(
+    "preset", [*EVERY_METHOD, *(pytest.param(name, marks=pytest.mark.long) for name in ON_ANCHORS)]
+)
 def test_ground_truth_is_not_read(preset, tiny_data, tmp_path):
     """Law 6: with every true radiance replaced by noise, training gives the same weights."""
     spoiled = tmp_path / "spoiled"
@@ -149,7 +143,7 @@ def test_ground_truth_is_not_read(preset, tiny_data, tmp_path):
         write_exr(path, rng.uniform(0, 100, read_exr(path).shape).astype(np.float32))
     (spoiled / "passes").mkdir()  # the light of each group, which the tiny data do not have
     write_exr(spoiled / "passes" / "train_000.exr", rng.uniform(0, 100, (24, 32, 3)).astype(np.float32))
-    config = short(preset, iterations=20)
+    config = short(preset, iterations=12)
     train(read_scene(tiny_data), config, tmp_path / "clean_run")
     train(read_scene(spoiled), config, tmp_path / "spoiled_run")
     assert_identical(weights(tmp_path / "clean_run"), weights(tmp_path / "spoiled_run"))
@@ -160,7 +154,7 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     # The truth has a Gaussian at each first point and no directions: three small views would overfit more.
     config = dataclasses.replace(
-        PRESETS["default"], iterations=600, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
+        PRESETS["default"], iterations=300, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
     )
     trainer = train(scene, config, tmp_path / "run")
     view = scene.test[0]
@@ -181,7 +175,7 @@ def test_training_separates_two_lights(two_lights_data, tmp_path):
     """Pairs of levels between and beyond the trained ones: far nearer than the best that scaling could do."""
     scene = read_scene(two_lights_data)
     config = dataclasses.replace(
-        PRESETS["default"], iterations=600, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
+        PRESETS["default"], iterations=300, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
     )
     trainer = train(scene, config, tmp_path / "run")
     assert trainer.method.lights == ("ambient", "pendant") and len(trainer.views) == 3 + 6
@@ -288,7 +282,7 @@ def test_the_saved_method_renders_as_the_trained_one(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short("paper")
     trainer = train(scene, config, tmp_path)
     method, iteration = load_method(tmp_path, config, scene.response_anchor)
-    assert iteration == 40
+    assert iteration == 24
     camera = scene.test[0].camera
     assert torch.equal(method.ldr(camera, 2.0), trainer.method.ldr(camera, 2.0))
 
@@ -382,7 +376,7 @@ def test_where_all_gaussians_would_go_training_ends_and_keeps_the_last_good_chec
     config = dataclasses.replace(config, backbone=dataclasses.replace(config.backbone, prune_scale=0.1))
     trainer = Trainer(scene, config)
     trainer.save(tmp_path)
-    with pytest.raises(NoGaussiansLeftError, match="after iteration 30 would remove all"):
+    with pytest.raises(NoGaussiansLeftError, match="after iteration 18 would remove all"):
         list(trainer.run(tmp_path))
     method, iteration = load_method(tmp_path, config, scene.response_anchor)
     assert iteration == 0 and len(method.gaussians) == len(scene.points.positions)
@@ -677,7 +671,7 @@ def test_checkpoints_are_written_by_time(tiny_data, tmp_path, monkeypatch):
     """Every so many seconds, and writing takes a fiftieth of the time at most; a clock that is told."""
     now = [0.0]
     monkeypatch.setattr(f"{Trainer.__module__}.time.perf_counter", lambda: now[0])
-    trainer = Trainer(read_scene(tiny_data), short("default"))
+    trainer = Trainer(read_scene(tiny_data), short("default", iterations=40))
     step, save, saved_at = trainer.step, trainer.save, []
 
     def slow_step():
