@@ -3,13 +3,22 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from ...bridge.errors import BadValueError
+from ..shell import option
 
 #: The power by which a rate falls (lab/notebook.md).
 FALL = 3
+
+
+def require_rates(part: str, rates: Mapping[str, float]) -> None:
+    """Raises ``BadValueError`` for a rate below 0; its setting is called ``part.name``."""
+    for name, value in rates.items():
+        if not value >= 0.0:
+            raise BadValueError(f"{option(f'{part}.{name}')} must be 0 or more, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +32,6 @@ class Rate:
     falls_from: float = 1.0
     #: Multiplied by the scene's extent (3DGS: positions).
     of_extent: bool = False
-
-    def __post_init__(self) -> None:
-        if not min(self.start, self.final) >= 0.0:
-            raise BadValueError(f"a learning rate must be 0 or more, got {self.start} to {self.final}")
 
     def times(self, factor: float) -> "Rate":
         """The same course, ``factor`` times as high."""

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adam for Gaussians and networks, their learning rates over time, and surgery on Adam's moments."""
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,10 +10,7 @@ from ..bounds import FromZero
 from ..methods.base import Method
 from ..model.adam import Adam, Group
 from ..model.backbone import Backbone
-from ..model.rates import Rate
-
-#: Numbers of ``OptimiserConfig`` that are no group's rate at the start.
-NO_RATES = ("means_final", "networks_times")
+from ..model.rates import Rate, require_rates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +54,7 @@ class OptimiserConfig:
     rates_for: FromZero = 2500
 
     def __post_init__(self) -> None:
-        for each in dataclasses.fields(self):
-            if each.type is float and each.name not in NO_RATES:
-                self.rate(each.name, iterations=1)  # refuses one that cannot be
+        require_rates("optimiser", vars(self))
 
     def rate(self, name: str, iterations: int) -> Rate:
         """How the rate of a group goes in a training of so many iterations."""

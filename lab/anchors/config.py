@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 
 from ...backend.bounds import FromZero, Size
 from ...backend.model.backbone import Attributes, BackboneConfig
-from ...backend.model.rates import Rate
+from ...backend.model.rates import Rate, require_rates
 from ...bridge.errors import BadValueError
 
 #: A voxel for the growth is the neighbours' distance over this, where none is given: the coarsest of
@@ -46,7 +46,7 @@ class AnchorRates:
     colour_final: float = 5e-5
 
     def __post_init__(self) -> None:
-        self.by_group()  # refuses rates that cannot be
+        require_rates("backbone.rates", vars(self))
 
     def by_group(self) -> dict[str, Rate]:
         """A rate for each parameter and each network of ``Anchors``."""

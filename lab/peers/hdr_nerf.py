@@ -20,7 +20,7 @@ import torch
 from ...backend.bounds import FromZero, Size
 from ...backend.kernels.ahead import Needs
 from ...backend.methods.base import Batch, Facts, MethodConfig, Outcome, Pool, Traits
-from ...backend.model.rates import Rate
+from ...backend.model.rates import Rate, require_rates
 from ...backend.model.tone_mapper import ToneMapper, ToneMapperConfig
 from ...backend.scene.camera import Camera
 from ...backend.scene.scene import View
@@ -77,7 +77,8 @@ class HDRNeRFConfig(MethodConfig):
                 "says where to look",
                 "Give --set method.coarse_samples=3 or more.",
             )
-        self.rate()  # refuses one that cannot be
+        names = ("learning_rate", "final_rate_share")
+        require_rates("method", {name: getattr(self, name) for name in names})
 
     def rate(self) -> Rate:
         """Adam's, of everything."""

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from physhdr.backend.model.rates import Rate
+from physhdr.backend.model.rates import Rate, require_rates
 from physhdr.bridge.errors import BadValueError
 
 
@@ -20,5 +20,6 @@ def test_each_course_is_its_closed_form():
 
 def test_a_rate_of_0_stays_and_one_below_is_refused():
     assert Rate(start=0.0, final=1e-6, shape="exponential").at(0.5, 1.0) == 0.0
-    with pytest.raises(BadValueError, match="0 or more"):
-        Rate(start=1e-3, final=-1e-6, shape="exponential")
+    require_rates("optimiser", {"means": 0.0})
+    with pytest.raises(BadValueError, match=r"--set optimiser\.context must be 0 or more, got -1"):
+        require_rates("optimiser", {"means": 0.1, "context": -1.0})

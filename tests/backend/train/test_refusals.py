@@ -19,11 +19,11 @@ REFUSED = {
     ),
     "--preset paper --set method.illumination_branch=false": r"f_mix[\s\S]*mix=false",
     "--preset default --set method.sh_degree=4": "--set method.sh_degree must be from 0 to 3",
-    "--preset default --set optimiser.tone_mapper=-1": "learning rate",
-    "--preset default-scaffold --set backbone.rates.colour_final=-1": "learning rate",
+    "--preset default --set optimiser.tone_mapper=-1": "optimiser.tone_mapper must be 0 or more",
+    "--preset default-scaffold --set backbone.rates.colour_final=-1": "backbone.rates.colour_final must be",
     "--preset paper --set method.loss.blur_size=4": "odd",
     "--preset hdr-nerf-small --set method.coarse_samples=2": r"coarse samples[\s\S]*3 or more",
-    "--preset hdr-nerf-small --set method.learning_rate=-1": "learning rate",
+    "--preset hdr-nerf-small --set method.learning_rate=-1": "method.learning_rate must be",
 }
 
 
