@@ -20,6 +20,7 @@ import numpy as np
 
 from . import spherical_harmonics
 from .atomic import atomic_path
+from .camera_list import ListedCamera, camera_text, cameras_of
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from .lights import AMBIENT, Levels, as_levels, check_lights
 from .limits import EV_MAX, EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
@@ -72,6 +73,7 @@ PHOTOGRAPHED_EV = "photographed_ev"
 #: Metadata that has a field or a fixed value of its own; anything else lands in ``Model.metadata``.
 RESERVED_METADATA = (
     *("format", "version", "modulator", "lights", "levels", "sh_degree", "working_space", "exposures"),
+    "cameras",
 )
 
 
@@ -111,6 +113,8 @@ class Model:
     lights: tuple[str, ...] = (AMBIENT,)
     #: ``[N]`` in [0, 1]: how likely each radiance is right (``bridge.confidence``); None: nobody knows.
     confidence: np.ndarray | None = None
+    #: Where the training's pictures were taken from, in the model's space; of very many, some.
+    cameras: tuple[ListedCamera, ...] = ()
 
     def __post_init__(self) -> None:
         _check_shapes({name: array.shape for name, array in self.tensors().items()}, "the model")
@@ -258,6 +262,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
             lights=lights,
             levels=_numbers(metadata, "levels", path) if modulator == "baked-levels" else (),
             exposures=_numbers(metadata, "exposures", path),
+            cameras=cameras_of(_json(metadata, "cameras", path), path, _EXPORT_AGAIN),
             metadata=MappingProxyType({k: v for k, v in metadata.items() if k not in RESERVED_METADATA}),
         )
     except (DataMismatchError, BadValueError) as error:
@@ -345,6 +350,8 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
         "working_space": WORKING_SPACE,
         "exposures": json.dumps(list(model.exposures)),
     }
+    if model.cameras:
+        metadata["cameras"] = camera_text(model.cameras)
     if model.modulator == "baked-levels":
         metadata["levels"] = json.dumps(list(model.levels))
     if modulator == ADDITIVE_LIGHTS:
@@ -386,11 +393,12 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
 
 
 _WRITE_HINT = "Check that you may write there, that the name is not too long and that the disk has room."
+_EXPORT_AGAIN = "Export the model again (physhdr export)."
 _NEWER_HINT = "It may come from a newer PhysHDR: update PhysHDR here, or export the model again."
 
 
 def _damaged(path: Path, what: str) -> FileDamagedError:
-    return FileDamagedError(f"{path} {what}", "Export the model again (physhdr export).")
+    return FileDamagedError(f"{path} {what}", _EXPORT_AGAIN)
 
 
 def _map_file(path: Path) -> memoryview:

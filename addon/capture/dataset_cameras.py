@@ -23,10 +23,11 @@ from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.run_folder import CAMERAS_FILE
 from .. import outside, similarity
 from ..blender import CLIP_END, CLIP_START, cloud_of, render_size, takes_objects, to_matrix, world_of
-from ..layouts.cameras import Frame, read_frames
+from ..layouts.cameras import Frame, Frames, read_frames
 from ..layouts.views import VIEWS
 from ..model import origin
-from ..model.attributes import CAPTURE, FILE
+from ..model.attributes import CAMERAS, CAPTURE, FILE
+from ..model.point_cloud import cameras_in
 from . import placement
 from .placement import FRAME
 
@@ -38,6 +39,8 @@ DRAWN = 0.03
 FIRST = (data_set.TEST, VIEWS, data_set.TRAIN)
 #: Said of cameras that stand where the run's ``cameras.json`` has them.
 LEARNED_NOTE = "{} of {} stand where training has found their pictures to be taken from."
+#: Said of cameras that came with the model's file.
+OWN_NOTE = "The data set is not there: these are the training's cameras, which are in the model's file."
 #: Pixels count as square where the focal lengths are as near to each other as this.
 SQUARE = 1e-6
 
@@ -55,13 +58,13 @@ class Imported:
 def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Path | None = None) -> Imported:
     """Bring in the cameras of the data set of a model; those that are there already are put back.
 
-    ``folder``: where the data set is now, if not where the model was trained from it. Raises
-    ``FileMissingError`` where it is not there, ``DataMismatchError`` where the model is sheared or mirrored,
-    and what ``read_frames`` and ``read_learned_poses`` raise, before anything is made.
+    ``folder``: where the data set is now, if not where the model was trained from it. Where it is not there
+    the cameras that came with the model are taken. Raises ``FileMissingError`` where none did,
+    ``DataMismatchError`` where the model is sheared or mirrored, and what ``read_frames`` and
+    ``read_learned_poses`` raise, before anything is made.
     """
     capture = origin.capture_of(target)
-    found = read_frames(folder or _folder_of(target))
-    learned = _learned(target)
+    found, learned = _frames(target, folder)
     bpy.context.view_layer.update()
     stands = np.array(world_of(target), np.float64)
     scale = similarity.scale_of(stands)
@@ -100,14 +103,37 @@ def _placed(frame: Frame, learned: dict[str, np.ndarray]) -> Frame:
     return frame if pose is None else dataclasses.replace(frame, camera_to_world=pose)
 
 
-def _folder_of(target: bpy.types.Object) -> Path:
-    folder = origin.data_of(target)
-    if folder is None:
+def has_cameras(target: bpy.types.Object) -> bool:
+    """Whether a model's cameras can be told: by its data set, or by what came with it."""
+    return origin.data_of(target) is not None or CAMERAS in cloud_of(target)
+
+
+def _frames(target: bpy.types.Object, folder: Path | None) -> tuple[Frames, dict[str, np.ndarray]]:
+    """The cameras of a model's data set, or its own, and the poses that training has found."""
+    folder = folder or origin.data_of(target)
+    if folder is not None:
+        return read_frames(folder), _learned(target)
+    cameras = cameras_in(cloud_of(target))
+    if not cameras:
         raise FileMissingError(
             f"the data set of {target.name!r} is not there: {origin.capture_of(target)}",
             "Put it back there, or choose its folder.",
         )
-    return folder
+    frames = (
+        Frame(
+            each.name,
+            VIEWS,
+            each.camera_to_world,
+            each.width,
+            each.height,
+            each.fx,
+            each.fy,
+            each.cx,
+            each.cy,
+        )
+        for each in cameras
+    )
+    return Frames(tuple(frames), (OWN_NOTE,)), {}
 
 
 def _new_camera(scene: bpy.types.Scene, capture: str, frame: Frame) -> bpy.types.Object:
@@ -146,6 +172,22 @@ def _set_lens(camera: bpy.types.Object, frame: Frame) -> None:
     lens.shift_y = (frame.cy - 0.5 * frame.height) * frame.fx / (frame.fy * frame.width)
     camera[RESOLUTION] = [frame.width, frame.height]
     camera[FOCAL_LENGTHS] = [frame.fx, frame.fy]
+
+
+def first_place(target: bpy.types.Object) -> Frame | None:
+    """The camera to look through first, where the model stands now; None where its cameras cannot be told.
+
+    Raises as ``import_cameras``; nothing is made.
+    """
+    if not has_cameras(target):
+        return None
+    found, learned = _frames(target, None)
+    for split in FIRST:
+        for frame in found.frames:
+            if frame.split == split:
+                pose = np.array(world_of(target), np.float64) @ _placed(frame, learned).camera_to_world
+                return dataclasses.replace(frame, camera_to_world=placement.without_scale(pose))
+    return None
 
 
 def is_of_data_set(camera: bpy.types.Object | None) -> bool:

@@ -93,6 +93,8 @@ LIGHTS = "physhdr_lights"
 #: Custom properties with fields of ``bridge.model_file.Model``.
 MODULATOR, SH_DEGREE = "physhdr_modulator", "physhdr_sh_degree"
 LEVELS, EXPOSURES = "physhdr_levels", "physhdr_exposures"
+#: Custom property: the cameras of the training's pictures, as the model file has them.
+CAMERAS = "physhdr_cameras"
 #: Custom properties with the learned response: ln exposure ``[M]``, and values ``[M, 3]`` row by row.
 TONE_CURVE_LOG_EXPOSURE, TONE_CURVE = "physhdr_tone_curve_log_exposure", "physhdr_tone_curve"
 

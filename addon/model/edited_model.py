@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...bridge.affine import transform_gaussians
+from ...bridge.camera_list import moved
 from ...bridge.errors import BadValueError
 from ...bridge.model_file import SPACE, WORLD, Model
 from ...bridge.spherical_harmonics import rotated
@@ -44,7 +45,10 @@ def transformed(model: Model, matrix: np.ndarray) -> Model:
     factor = scale_of(matrix)
     position, rotation, scale = transform_gaussians(matrix, model.position, model.rotation, model.scale)
     sh = rotated(model.log_radiance_sh, np.asarray(matrix, np.float64)[:3, :3] / factor)
-    return dataclasses.replace(model, position=position, rotation=rotation, scale=scale, log_radiance_sh=sh)
+    cameras = moved(model.cameras, np.asarray(matrix, np.float64))
+    return dataclasses.replace(
+        model, position=position, rotation=rotation, scale=scale, log_radiance_sh=sh, cameras=cameras
+    )
 
 
 def edited_model(

@@ -5,18 +5,21 @@ import itertools
 import json
 import uuid
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ...bridge import native_splats
-from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.camera_list import ListedCamera, camera_text, cameras_of
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import AMBIENT, check_lights
 from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, Model, photographed_ev
 from ..blender import cloud_of
 from .attributes import (
     BASE,
+    CAMERAS,
     CONFIDENCE,
     EXPOSURES,
     IDENTITY,
@@ -197,7 +200,22 @@ def model_of(cloud: bpy.types.PointCloud) -> Model:
         **light,
         exposures=tuple(float(seconds) for seconds in cloud.get(EXPOSURES, ())),
         metadata=metadata,
+        cameras=cameras_in(cloud),
     )
+
+
+def cameras_in(cloud: bpy.types.PointCloud) -> tuple[ListedCamera, ...]:
+    """The cameras that came with the model, in its space.
+
+    Raises ``DataMismatchError`` where they were edited into something else.
+    """
+    try:
+        return cameras_of(json.loads(str(cloud.get(CAMERAS, "[]"))), Path(cloud.name), "")
+    except (ValueError, FileDamagedError) as error:
+        raise DataMismatchError(
+            f"the point cloud {cloud.name!r} has {CAMERAS} that are not a list of cameras",
+            "Undo the edit, or import the model again.",
+        ) from error
 
 
 def photographed_ev_of(target: bpy.types.Object) -> float:
@@ -218,6 +236,8 @@ def _provenance(model: Model) -> dict[str, Any]:
         LEVELS: list(model.levels),
         EXPOSURES: list(model.exposures),
     }
+    if model.cameras:
+        properties[CAMERAS] = camera_text(model.cameras)
     if model.tone_curve is not None and model.tone_curve_log_exposure is not None:
         properties[TONE_CURVE_LOG_EXPOSURE] = model.tone_curve_log_exposure.tolist()
         properties[TONE_CURVE] = model.tone_curve.reshape(-1).tolist()

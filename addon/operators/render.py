@@ -6,9 +6,10 @@ from typing import Any, ClassVar, cast
 
 import bpy
 
+from ...bridge.blend_file import SPLIT
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..blender import layout_of
-from ..capture.dataset_cameras import first_of, import_cameras, take_size
+from ..capture.dataset_cameras import cameras_of, first_of, has_cameras, import_cameras, take_size
 from ..model import origin
 from ..model.look import models_among
 from ..rendering import develop
@@ -20,6 +21,7 @@ from ..rendering.render_setup import (
     set_up,
     wishes_from,
 )
+from ..viewport.framing import views
 
 
 def model_for(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -208,7 +210,7 @@ class PHYSHDR_OT_cameras_import(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         target = model_for(context)
-        if target is None or self.directory or origin.data_of(target) is not None:
+        if target is None or self.directory or has_cameras(target):
             return self.execute(context)
         self.report({"WARNING"}, f"The data set of {target.name!r} has moved: choose its folder")
         context.window_manager.fileselect_add(cast(Any, self))
@@ -235,5 +237,49 @@ class PHYSHDR_OT_cameras_import(bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (PHYSHDR_OT_render_setup, PHYSHDR_OT_develop_render, PHYSHDR_OT_cameras_import)
+class PHYSHDR_OT_look_through(bpy.types.Operator):
+    """Look and render through the next camera of the capture, as its photo was taken"""
+
+    bl_idname = "physhdr.look_through"
+    bl_label = "Look Through"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    step: bpy.props.IntProperty(
+        name="Step",
+        default=1,
+        description="1: the next camera, −1: the one before; 0: the present one, or the first",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return PHYSHDR_OT_cameras_import.poll.__func__(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene, target = context.scene, model_for(context)
+        assert target is not None
+        cameras = cameras_of(scene, target)
+        if not cameras:
+            try:
+                cameras = list(import_cameras(scene, target).cameras)
+            except PhysHDRError as error:
+                self.report({"ERROR"}, str(error))
+                return {"CANCELLED"}
+        cameras.sort(key=lambda camera: (camera.get(SPLIT, ""), camera.name))
+        if scene.camera in cameras:
+            scene.camera = cameras[(cameras.index(scene.camera) + self.step) % len(cameras)]
+        else:
+            scene.camera = first_of(tuple(cameras))
+        for view, region in views(context):
+            view.use_local_camera = False
+            region.view_perspective = "CAMERA"
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    PHYSHDR_OT_render_setup,
+    PHYSHDR_OT_develop_render,
+    PHYSHDR_OT_cameras_import,
+    PHYSHDR_OT_look_through,
+)
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import bpy
 
-from ...bridge.errors import FileMissingError
+from ...bridge.errors import FileMissingError, PhysHDRError
 from ...bridge.limits import THREADS_MAX
 from ...bridge.messages import (
     JobStatus,
@@ -22,11 +22,14 @@ from ...bridge.messages import (
 )
 from ...bridge.run_folder import MODEL_FILE
 from .. import settings
+from ..capture.dataset_cameras import first_place
 from ..chosen_run import proposed_run
+from ..model.look import is_model
 from ..paths import absolute, whole
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import EndAsked, State, StopAsked
+from ..viewport.framing import look_from
 from .afterwards import is_modal
 from .base import PhysHDROperator, choose_named, has_run, moved_data
 
@@ -415,7 +418,21 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         if context.scene.is_editable:
             chosen.preview = False  # the object shows itself
             chosen.show_curves = False  # its sliders are below, and in sight then
+        self._look(context)
         return {"FINISHED"}
+
+    def _look(self, context: bpy.types.Context) -> None:
+        """Show the model as one of its pictures does: the view may be anywhere."""
+        target = context.object
+        if not is_model(target):
+            return
+        try:
+            place = first_place(target)
+        except PhysHDRError as error:  # the model is there all the same
+            self.report({"INFO"}, str(error))
+            return
+        if place is not None:
+            look_from(context, place, target)
 
     def _is_late(self) -> bool:
         return time.monotonic() - self._began > ANSWER_SECONDS

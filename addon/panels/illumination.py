@@ -9,7 +9,7 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ..blender import cloud_of, layout_of
 from ..dataset.dataset_dialog import draw_originals
-from ..model.attributes import CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY
+from ..model.attributes import CAMERAS, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY
 from ..model.look import draw_look, slider_name
 from ..model.preview_look import followed
 from ..operators.base import choices
@@ -42,6 +42,7 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             column = layout.column()
             column.use_property_split = True
             column.prop(target, "physhdr_viewport", text="3D View")
+            draw_cameras(layout, target)
             if text := confidence_note(target):
                 write(context, layout, text, "INFO")
             draw_native(layout, target)
@@ -50,6 +51,16 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             draw_own(layout, state, settings)
         for text in hints(context, state, settings, target, shown, reason):
             write(context, layout, text, "INFO")
+
+
+def draw_cameras(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
+    """From one photo's place to the next; for models that brought their cameras along."""
+    if CAMERAS not in cloud_of(target):
+        return
+    row = layout.row(align=True)
+    row.operator("physhdr.look_through", text="", icon="TRIA_LEFT").step = -1
+    row.operator("physhdr.look_through").step = 0
+    row.operator("physhdr.look_through", text="", icon="TRIA_RIGHT").step = 1
 
 
 def confidence_note(target: bpy.types.Object) -> str:

@@ -63,9 +63,9 @@ def remove(target: bpy.types.Object) -> None:
 
 def _find(target: bpy.types.Object) -> bpy.types.Modifier | None:
     for modifier in target.modifiers:
-        if isinstance(modifier, bpy.types.NodesModifier) and modifier.node_group:
-            if _MARK in modifier.node_group:
-                return modifier
+        tree = modifier.node_group if isinstance(modifier, bpy.types.NodesModifier) else None
+        if tree is not None and _MARK in tree:
+            return modifier
     return None
 
 

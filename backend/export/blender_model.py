@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ...bridge.camera_list import ListedCamera
 from ...bridge.limits import FARTHEST
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import FIT_DIRECTIONS, basis, fibonacci_sphere
@@ -88,12 +89,13 @@ def to_model(
     metadata: dict[str, str],
     confidence: np.ndarray | None = None,
     scale: float = 1.0,
+    cameras: Sequence[ListedCamera] = (),
 ) -> Model:
     """The file's content, of a method on plain Gaussians (``on_gaussians``).
 
     ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean. ``confidence`` ``[N]``
     (``confidence.confidence_of``); None: the pictures that tell it are not there. ``scale``: what radiance
-    is multiplied by; the curve follows, so that its pictures stay the same.
+    is multiplied by; the curve follows, so that its pictures stay the same. ``cameras``: of its pictures.
     """
     g = method.gaussians
     share = gain = None
@@ -124,4 +126,5 @@ def to_model(
         exposures=exposures,
         metadata=metadata,
         confidence=confidence,
+        cameras=tuple(cameras),
     )

@@ -138,6 +138,7 @@ class Run:
             self.provenance,
             self.confidence(method, show) if with_confidence else None,
             self.radiance_scale,
+            self.camera_list(),
         )
 
 

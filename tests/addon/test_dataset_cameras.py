@@ -4,6 +4,7 @@ along when the scale and the ground of their capture are set."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import struct
@@ -18,9 +19,10 @@ from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.capture import dataset_cameras, placement  # noqa: E402
 from physhdr.addon.layouts import cameras  # noqa: E402
 from physhdr.addon.model import origin  # noqa: E402
+from physhdr.addon.viewport import framing  # noqa: E402
 from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError  # noqa: E402
-from physhdr.bridge.model_file import write_model  # noqa: E402
+from physhdr.bridge.model_file import read_model, write_model  # noqa: E402
 
 WIDTH, HEIGHT = 120, 90
 #: Pixels: Blender's matrices, lenses and shifts are float32.
@@ -129,6 +131,64 @@ def test_cameras_of_our_layout_see_as_the_pinhole_does(registered, run):
     folders = {camera.users_collection[0].name for camera in cameras.values()}
     assert folders == {"Cameras of data: train", "Cameras of data: test"}
     assert registered.camera is cameras["test/r_0"]  # there was none
+
+
+@pytest.fixture
+def alone(registered, run, make_model):
+    """A model whose data set nobody has, with two cameras in its file; with their poses by name."""
+    lens = (100.0, 110.0, 55.0, 48.0)
+    named = dict(zip(("train_000", "train_001"), poses(2, seed=7), strict=True))
+    cameras = tuple(ListedCamera(name, pose, WIDTH, HEIGHT, *lens) for name, pose in named.items())
+    (run / "config.json").unlink()
+    path = run / "model.safetensors"
+    path.unlink()
+    write_model(path, dataclasses.replace(make_model(count=10), cameras=cameras))
+    return load(run), named, lens
+
+
+def test_a_model_alone_brings_its_cameras(registered, alone):
+    _, named, lens = alone
+    assert bpy.ops.physhdr.cameras_import() == {"FINISHED"}
+    registered.render.resolution_x, registered.render.resolution_y = WIDTH, HEIGHT
+    registered.render.pixel_aspect_y, registered.render.pixel_aspect_x = 1.0, 1.1
+    dataset_cameras.take_size(registered, bpy.data.objects["train_000"])
+    for name, pose in named.items():
+        assert_sees(registered, bpy.data.objects[name], pose, lens)
+
+
+def test_they_are_in_the_file_that_it_is_saved_in(registered, alone, tmp_path):
+    """Where it stood in the scene, too: they move along."""
+    target, named, _ = alone
+    target.location.x, target.scale = 3.0, (2.0, 2.0, 2.0)
+    for name, apply in (("plain.safetensors", False), ("world.safetensors", True)):
+        path = tmp_path / name
+        bpy.ops.physhdr.model_save(filepath=str(path), apply_transform=apply)
+        for each in read_model(path).cameras:
+            expected = named[each.name][:3, 3]
+            expected = 2.0 * expected + (3.0, 0.0, 0.0) if apply else expected
+            np.testing.assert_allclose(each.camera_to_world[:3, 3], expected, atol=1e-5)
+
+
+def test_one_looks_through_one_camera_after_the_other(registered, alone):
+    look = bpy.ops.physhdr.look_through
+    seen = []
+    for step in (0, 1, 1, -1, 0):
+        assert look(step=step) == {"FINISHED"}
+        seen.append(registered.camera.name)
+    assert seen == ["train_000", "train_001", "train_000", "train_001", "train_001"]
+
+
+def test_a_view_takes_the_place_of_a_camera_and_shows_its_whole_picture(registered, alone):
+    """By Blender's own matrices: the picture's corners are in the view, the nearer pair at its rim."""
+    target, named, (fx, fy, _, _) = alone
+    place = dataset_cameras.first_place(target)
+    np.testing.assert_allclose(place.camera_to_world, named["train_000"], atol=1e-5)
+    for width, height in ((800, 300), (300, 800), (500, 500)):
+        lens = framing.lens_of(place, width, height)
+        half = 36.0 / lens  # of the larger side, at a metre
+        across, up = (half, half * height / width) if width >= height else (half * width / height, half)
+        reach = 0.5 * WIDTH / fx / across, 0.5 * HEIGHT / fy / up
+        assert max(reach) == pytest.approx(1.0)
 
 
 def test_the_scenes_own_camera_stays_unless_it_is_asked_otherwise(registered, run, look_at):

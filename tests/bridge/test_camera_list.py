@@ -3,12 +3,21 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from physhdr.bridge.axes import world_to_camera_opencv
-from physhdr.bridge.camera_list import ListedCamera, read_learned_poses, write_camera_list
+from physhdr.bridge.camera_list import (
+    LISTED_MOST,
+    ListedCamera,
+    camera_text,
+    cameras_of,
+    moved,
+    read_learned_poses,
+    write_camera_list,
+)
 from physhdr.bridge.errors import FileDamagedError, OutputError
 
 
@@ -92,3 +101,37 @@ def test_a_damaged_entry_is_named(path, key, value, said):
     with pytest.raises(FileDamagedError, match=said) as caught:
         read_learned_poses(path)
     assert str(path) in caught.value.message and "Delete it, and export the run again" in caught.value.hint
+
+
+def test_of_very_many_cameras_some_are_in_the_file():
+    listed = json.loads(camera_text([camera(f"train_{index}") for index in range(7 * LISTED_MOST)]))
+    assert [each["id"] for each in listed] == list(range(0, 7 * LISTED_MOST, 7))
+    assert camera_text([]) == "[]"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"width": 0}, "has no size"),
+        ({"height": 2.5}, "has no size"),
+        ({"fx": -1.0}, "no focal length"),
+        ({"cy": 10**400}, "no focal length"),
+        ({"img_name": ""}, "no img_name"),
+        ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "rotation is none"),
+        ({"pose": "unknown"}, "no list of ours"),
+    ],
+)
+def test_cameras_that_cannot_be_are_refused(change, message):
+    content = json.loads(camera_text([camera()]))
+    content[0] |= change
+    with pytest.raises(FileDamagedError, match=message):
+        cameras_of(content, Path("model.safetensors"), "Export it again.")
+
+
+def test_cameras_move_with_a_scene_and_stay_rigid():
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = 2.5 * turn, (1.0, 2.0, 3.0)
+    (found,) = moved([camera()], matrix)
+    np.testing.assert_allclose(found.camera_to_world[:3, 3], 2.5 * turn @ (1.0, -4.0, 2.0) + (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(found.camera_to_world[:3, :3], turn @ pose()[:3, :3], atol=1e-12)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from physhdr.bridge import limits, spherical_harmonics
+from physhdr.bridge.camera_list import ListedCamera
 from physhdr.bridge.errors import (
     BadValueError,
     DataMismatchError,
@@ -98,6 +99,22 @@ def test_round_trip_is_exact(tmp_path: Path, modulator: str, lights: tuple[str, 
     for name, array in model.tensors().items():
         np.testing.assert_array_equal(getattr(back, name), array)
     assert os.listdir(tmp_path) == ["m.safetensors"]
+
+
+def test_the_cameras_come_back(tmp_path: Path):
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, 3] = (1.0, -4.0, 2.0), (0.1, 0.2, 1.0 / 3.0)
+    size = 640, 480, 500.0, 510.0, 322.5, 239.0
+    cameras = tuple(
+        ListedCamera(f"train_{index}", pose, *size, index == 1) for index, pose in enumerate(poses)
+    )
+    write_model(tmp_path / "model.safetensors", dataclasses.replace(make_model(), cameras=cameras))
+    found = read_model(tmp_path / "model.safetensors")
+    assert "cameras" not in found.metadata
+    for each, written in zip(found.cameras, cameras, strict=True):
+        np.testing.assert_allclose(each.camera_to_world, written.camera_to_world, atol=1e-6)
+        of_lens = ("name", "width", "height", "fx", "fy", "cx", "cy", "is_learned")
+        assert [getattr(each, name) for name in of_lens] == [getattr(written, name) for name in of_lens]
 
 
 @pytest.mark.parametrize(

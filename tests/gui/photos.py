@@ -71,9 +71,30 @@ def test(window: Window) -> Iterator[float]:
     yield from window.drawn()
     yield from window.show_panels("training", "illumination", "capture")
     window.screenshot("4_imported")
+    yield from find(window, target)
 
     yield from set_ground(window, target)
     yield from window.shut_down()
+
+
+def find(window: Window, target: bpy.types.Object) -> Iterator[float]:
+    """The view is where a picture was taken; *View Selected* frames the room, *Look Through* a picture."""
+    view, position = window.region.data, target.data.attributes["position"].data
+    places = window.module("addon.layouts.captures").camera_places(Path(target.data["physhdr_capture"]))
+    at = np.array(view.view_matrix.inverted().translation)
+    assert min(np.linalg.norm(places - at, axis=1)) < 0.05, (places, at)
+    with window.override():
+        bpy.ops.view3d.view_selected()
+    yield from window.still()
+    window.screenshot("4_view_selected")
+    points = np.array([each.vector for each in position])
+    room = np.linalg.norm(np.ptp(np.quantile(points, (0.02, 0.98), axis=0), axis=0))
+    assert 0.3 * room < view.view_distance < 3.0 * room, (view.view_distance, room)
+    with window.override():
+        bpy.ops.physhdr.look_through(step=0)
+    yield from window.drawn()
+    assert view.view_perspective == "CAMERA"
+    window.screenshot("4_looked_through")
 
 
 def set_ground(window: Window, target: bpy.types.Object) -> Iterator[float]:
