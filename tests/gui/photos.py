@@ -80,7 +80,7 @@ def test(window: Window) -> Iterator[float]:
 def find(window: Window, target: bpy.types.Object) -> Iterator[float]:
     """The view is where a picture was taken; *View Selected* frames the room, *Look Through* a picture."""
     view, position = window.region.data, target.data.attributes["position"].data
-    places = window.module("addon.layouts.captures").camera_places(Path(target.data["physhdr_capture"]))
+    places = window.module("addon.layouts.cameras").camera_places(Path(target.data["physhdr_capture"]))
     at = np.array(view.view_matrix.inverted().translation)
     assert min(np.linalg.norm(places - at, axis=1)) < 0.05, (places, at)
     with window.override():
