@@ -24,7 +24,6 @@ from . import (
     own_objects,
     plan,
     rig,
-    scripts,
     simulations,
     user_camera,
     user_light,
