@@ -9,10 +9,11 @@
 a launcher that runs it. Either way ``.venvs/run-blender SCRIPT -- ARGS`` runs a script inside Blender.
 Does nothing where an environment is up to date.
 
-What is installed is what the locks name, file by file (locks/, tools/lock.py): pip refuses whatever has
-another SHA-256, and builds nothing but this project. torch is taken from PyTorch's own index, without CUDA;
-where that cannot be reached, from wherever pip is set up to look: PyPI's build for Linux has CUDA, and its
-libraries come with it.
+pip installs, not uv, although tools/lock.py resolves with it: pip comes with Python, and a second installer
+would be one more requirement or a second way. What is installed is what the locks name, file by file (locks/,
+tools/lock.py): pip refuses whatever has another SHA-256, and builds nothing but this project. torch is taken
+from PyTorch's own index, without CUDA; where that cannot be reached, from wherever pip is set up to look:
+PyPI's build for Linux has CUDA, and its libraries come with it.
 """
 
 import hashlib

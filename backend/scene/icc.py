@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""ICC profiles of pictures: from the primaries that they tell to those of sRGB, in which all is trained.
+"""ICC profiles of pictures: codes of their primaries become codes of sRGB's, in which all is trained.
 
+By hand, because Pillow's ImageCms gives no tone curves and converts 8 bits only; OpenImageIO converts none.
 Cameras that are set to Adobe RGB often say so in EXIF alone: that counts as its profile.
 
-Read are profiles of three primaries and a curve each, as cameras, phones and raw converters embed them
-(Display P3, Adobe RGB, ProPhoto; ICC.1:2022, 8.3, 10.6 and 10.18). Codes are decoded by the curves, taken to
-Rec.709's primaries, white to white, and encoded by the sRGB curve: which curve it is decides nothing, for a
+Supported are profiles of three primaries with a curve each, as cameras, phones and raw converters embed
+them (Display P3, Adobe RGB, ProPhoto; ICC.1:2022, 8.3, 10.6 and 10.18). Codes are decoded by the curves,
+converted to Rec.709's primaries, white to white, and encoded by the sRGB curve: any curve would do, because a
 camera's response is learned. From wider primaries what clipped still clips: each row of the matrix adds up to
 1 and has one positive number.
 """

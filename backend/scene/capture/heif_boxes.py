@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a HEIF or AVIF file says of itself before its pixels (ISO/IEC 14496-12, 23008-12).
+"""What a HEIF or AVIF file states before its pixels (ISO/IEC 14496-12, 23008-12).
 
 It is made of boxes. Its pictures are *items*: where their bytes are (``iloc``), of what kind each is
-(``iinf``), which is the photo (``pitm``) and which properties it has (``iprp``). Decoders do not tell all of
-it, and libheif draws pictures of which half the tiles are missing.
+(``iinf``), which is the photo (``pitm``) and which properties it has (``iprp``). By hand, because no
+library checks completeness (libheif decodes pictures of which half the tiles are missing) or reports an
+AVIF's depth and code points (Pillow does not; OpenImageIO is built without HEIF).
 """
 
 import struct
