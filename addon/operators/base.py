@@ -8,14 +8,17 @@ from typing import ClassVar
 import bpy
 
 from ...bridge.errors import PhysHDRError
-from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of
+from ...bridge.run_folder import CHECKPOINT_FILE, WEB_FILE, WEB_FOLDER, data_of, may_be_of
 from .. import outside
+from ..capture.dataset_cameras import is_of_data_set
 from ..chosen_run import run_of
 from ..dataset.dataset_settings import DATASET
-from ..model.look import is_model
+from ..light.lighting import is_lit
+from ..model.look import is_model, is_of_run
 from ..paths import absolute, is_nowhere
+from ..rendering.render_setup import render_problems
 from ..runtime import session
-from ..session.advice import Choices, why_not
+from ..session.advice import IMPORTED, LIT, SEEN, SET_UP, SHARED, Choices, why_not
 
 #: A model of another file is left alone where what is set of it would not be saved.
 OVERRIDE = "Make a library override of it: Object, Library Override."
@@ -38,7 +41,27 @@ def choices(context: bpy.types.Context) -> Choices:
         of_file=True,
         not_looked_at=outside.not_chosen(settings, getattr(context.scene, DATASET)),
         unsaved=next((each for each in (settings.data, settings.out) if is_nowhere(each)), ""),
+        done=_done(context.scene, out),
     )
+
+
+def _done(scene: bpy.types.Scene, run: str) -> frozenset[str]:
+    """What of ``advice.IN_SCENE`` was done in the scene with a model of the run, or with any of a file."""
+    models = [each for each in scene.objects if is_model(each)]
+    if has_run(run):
+        models = [each for each in models if is_of_run(each, run)]
+    if not models:
+        return frozenset()
+    done = {IMPORTED}
+    if is_of_data_set(scene.camera):
+        done.add(SEEN)
+    if not render_problems(scene):
+        done.add(SET_UP)
+    if is_lit(scene.world):
+        done.add(LIT)
+    if any(os.path.exists(os.path.join(run, name)) for name in (WEB_FILE, WEB_FOLDER)):
+        done.add(SHARED)
+    return frozenset(done)
 
 
 def choose_named(context: bpy.types.Context) -> None:

@@ -23,6 +23,16 @@ JOB_WORDS = {
 }
 
 
+#: What is done with a result in the scene, in that order: what it is called, what the panel says, and whether
+#: it can be done without a backend.
+IMPORTED, SEEN, SET_UP, LIT, SHARED = "imported", "seen", "set up", "lit", "shared"
+IN_SCENE = (
+    (IMPORTED, "Import the result into the scene", True),
+    (SEEN, "Look through the capture's cameras: ◀ ▶ below the sliders", True),
+    (SET_UP, "Set up the render, in the panel Render", True),
+    (LIT, "Let it light your own objects: Light From Here", False),
+    (SHARED, "Export a web page of it, or make a video", False),
+)
 #: What the user does first with a file that names places outside it.
 LOOK_FIRST = "Look at what this file names outside it, if you trust it"
 
@@ -34,7 +44,8 @@ class Choices:
     ``of_file``: these are the open file's own choices, not what a script may give. ``out``: the run's folder,
     the one that is proposed where none is chosen. ``unsaved``: a folder that is relative to a .blend which is
     not saved, and so nowhere. ``not_looked_at``: what the file names and the user has not chosen since it was
-    opened; nothing else here names it.
+    opened; nothing else here names it. ``done``: of ``IN_SCENE``, with a model that is in the scene: the
+    run's, where the folder holds one.
     """
 
     data: str = ""
@@ -47,6 +58,7 @@ class Choices:
     of_file: bool = False
     unsaved: str = ""
     not_looked_at: tuple[str, ...] = ()
+    done: frozenset[str] = frozenset()
 
 
 def headline(state: State, choices: Choices | None = None) -> str:
@@ -81,6 +93,8 @@ def next_step(state: State, choices: Choices) -> str:
     if state.task(INSTALL) or state.task(CHECK):
         return ""
     if not state.backend.ready:
+        if IMPORTED in choices.done and (step := _in_scene(choices, with_backend=False)):
+            return step
         if state.backend.incomplete:
             return "Add what is missing, or use another Python"
         if state.backend.problem:
@@ -107,17 +121,28 @@ def next_step(state: State, choices: Choices) -> str:
             return "Continue, or stop"
         case "failed" if mine:
             return job.failure.hint if job.failure and job.failure.hint else "See the log"
-        case "stopped" if mine and job.run and state.link.status == "off":
-            return "Resume the training, or open the run"
+        case "stopped" if mine and job.run and IMPORTED not in choices.done:
+            other = "open the run" if state.link.status == "off" else "import what it has learned so far"
+            return f"Resume the training, or {other}"
         case "finished" | "stopped" | "open" if mine and _is_of(job.data, choices.data):
-            return "Import the result into the scene"
+            return _in_scene(choices)
     if choices.unsaved:
         return unsaved(choices)
     if not choices.data and choices.not_looked_at:
         return LOOK_FIRST
     if not choices.data or not state.dataset.folder or state.dataset.problem:
         return "Prepare photos, render a data set from this scene, or choose one"
-    return "Open the run, or resume its training" if choices.out_has_run else "Start the training"
+    if choices.out_has_run:
+        return _in_scene(choices) if IMPORTED in choices.done else "Open the run, or resume its training"
+    return "Start the training"
+
+
+def _in_scene(choices: Choices, *, with_backend: bool = True) -> str:
+    """What to do with a result next; empty where all is done."""
+    wanted = (
+        words for name, words, alone in IN_SCENE if name not in choices.done and (alone or with_backend)
+    )
+    return next(wanted, "")
 
 
 def silence(link: Link) -> str:

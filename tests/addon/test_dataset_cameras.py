@@ -19,6 +19,8 @@ from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.capture import dataset_cameras, placement  # noqa: E402
 from physhdr.addon.layouts import cameras  # noqa: E402
 from physhdr.addon.model import origin  # noqa: E402
+from physhdr.addon.operators.base import choices  # noqa: E402
+from physhdr.addon.session.advice import IMPORTED, SEEN, SET_UP  # noqa: E402
 from physhdr.addon.viewport import framing  # noqa: E402
 from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError  # noqa: E402
@@ -176,6 +178,17 @@ def test_one_looks_through_one_camera_after_the_other(registered, alone):
         assert look(step=step) == {"FINISHED"}
         seen.append(registered.camera.name)
     assert seen == ["train_000", "train_001", "train_000", "train_001", "train_001"]
+
+
+def test_the_panel_knows_what_was_done_with_a_model(registered, alone):
+    """Each step is known once it is done, whatever order they are done in."""
+    assert choices(bpy.context).done == {IMPORTED}
+    bpy.ops.physhdr.look_through(step=0)
+    assert choices(bpy.context).done == {IMPORTED, SEEN}
+    bpy.ops.physhdr.render_setup()
+    assert choices(bpy.context).done == {IMPORTED, SEEN, SET_UP}
+    bpy.data.objects.remove(alone[0])
+    assert choices(bpy.context).done == frozenset()
 
 
 def test_a_view_takes_the_place_of_a_camera_and_shows_its_whole_picture(registered, alone):

@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import pytest
 
-from physhdr.addon.session.advice import Choices, headline, next_step, problem_of, why_not
+from physhdr.addon.session.advice import (
+    IMPORTED,
+    IN_SCENE,
+    SEEN,
+    SET_UP,
+    SHARED,
+    Choices,
+    headline,
+    next_step,
+    problem_of,
+    why_not,
+)
 from physhdr.addon.session.dataset_words import in_the_dialogs_words
 from physhdr.addon.session.state import (
     Asked,
@@ -751,7 +762,38 @@ def test_the_panel_leads_from_nothing_to_a_result():
     assert "data set" in next_step(READY, Choices())
     with_data = replace(READY, dataset=Dataset("/data", ("18 views",)))
     assert next_step(with_data, CHOICES) == "Start the training"
-    assert next_step(replace(with_data, job=JobStatus(state="finished")), CHOICES).startswith("Import")
+    finished = replace(with_data, job=JobStatus(state="finished"))
+    said = []
+    for done in range(len(IN_SCENE) + 1):
+        chosen = replace(CHOICES, done=frozenset(name for name, *_ in IN_SCENE[:done]))
+        said.append(next_step(finished, chosen))
+    assert [text.split()[0] for text in said[:-1]] == ["Import", "Look", "Set", "Let", "Export"]
+    assert said[-1] == ""
+
+
+def test_what_is_done_out_of_order_is_not_asked_for_again():
+    finished = replace(READY, job=JobStatus(state="finished"), dataset=Dataset("/data", ("18 views",)))
+    chosen = replace(CHOICES, done=frozenset({IMPORTED, SET_UP, SHARED}))
+    assert next_step(finished, chosen).startswith("Look through")
+    assert next_step(finished, replace(chosen, done=chosen.done | {SEEN})).startswith("Let it light")
+
+
+def test_a_model_without_a_trainer_is_looked_at_and_rendered_before_one_is_installed():
+    chosen = Choices(done=frozenset({IMPORTED}))
+    assert next_step(State(), chosen).startswith("Look through")
+    assert "Install" in next_step(State(), replace(chosen, done=frozenset({IMPORTED, SEEN, SET_UP})))
+
+
+def test_a_training_that_was_stopped_early_is_resumed_or_taken_as_it_is():
+    stopped = replace(
+        READY,
+        job=JobStatus(state="stopped", data="/data", run="/run", iteration=50, iterations=2500),
+        link=replace(READY.link, status="connected"),
+        dataset=Dataset("/data", ("18 views",)),
+    )
+    assert next_step(stopped, HERE) == "Resume the training, or import what it has learned so far"
+    imported = replace(HERE, done=frozenset({IMPORTED}))
+    assert next_step(stopped, imported).startswith("Look through")
 
 
 def test_a_pause_is_asked_for_only_where_there_is_a_connection():
