@@ -2,16 +2,18 @@
 """The whole iteration beside its plain-torch alternative, and pictures per second."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import torch
 from measure import Row, alternate
-from synthetic import steady_trainer, trained_trainer
+from synthetic import steady_state, trained_state
 
 from physhdr.backend import kernels
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.rasterize.reference import project
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
+from physhdr.backend.train.trainer import step
 
 #: Milliseconds that two cores are to keep to: (preset, Gaussians) → at most.
 TARGETS = {
@@ -37,30 +39,30 @@ def plain_projection(method: PhysHDR, camera: Camera, backward: bool = True) -> 
         torch.autograd.grad((screen, conics), leaves, (torch.ones_like(screen), torch.ones_like(conics)))
 
 
-def plain_step(trainer: Trainer) -> Callable[[], None]:
+def plain_step(state: State) -> Callable[[], None]:
     """The same iteration with networks, SSIM, SH, blur and projection in plain torch.
 
     There is no rasteriser made of our tile kernels and a projection in torch. So the iteration runs with the
     CPU rasteriser, and the plain projection of the same Gaussians, forward and backward, runs beside it. The
     kernels' own projection is counted as well: a few milliseconds, too much for the alternative.
     """
-    camera = trainer.views[0].camera
+    camera = state.views[0].camera
 
-    def step() -> None:
+    def plainly() -> None:
         with kernels.plain_torch():
-            trainer.step()
-        plain_projection(trainer.method, camera)
+            step(state)
+        plain_projection(state.method, camera)
 
-    return step
+    return plainly
 
 
 def iteration_rows(quick: bool) -> Iterator[Row]:
-    """``Trainer.step`` of both presets."""
+    """``trainer.step`` of both presets."""
     for count in (50_000,) if quick else (50_000, 200_000):
         for preset in ("default", "paper"):
-            trainer = trained_trainer(preset, count)
+            state = trained_state(preset, count)
             ours, plain = alternate(
-                trainer.step, plain_step(trainer), rounds=1 if quick else 4, repeats=(9, 1)
+                partial(step, state), plain_step(state), rounds=1 if quick else 4, repeats=(9, 1)
             )
             yield Row(
                 work=f"iteration, {preset}, {count // 1000} k",
@@ -74,9 +76,9 @@ def iteration_rows(quick: bool) -> Iterator[Row]:
 def picture_rows(quick: bool) -> Iterator[Row]:
     """Rendering without gradients: radiance, and the final LDR picture."""
     for preset in ("default", "paper"):
-        trainer = steady_trainer(preset, 50_000)
-        trainer.step()  # sets the SH degree of this iteration
-        method, camera = trainer.method, trainer.views[0].camera
+        state = steady_state(preset, 50_000)
+        step(state)  # sets the SH degree of this iteration
+        method, camera = state.method, state.views[0].camera
         draws: dict[str, tuple[Callable[[], object], float]] = {
             "HDR": (lambda m=method, c=camera: m.hdr(c), HDR_PER_SECOND),
             "LDR": (lambda m=method, c=camera: m.ldr(c, 2.0), LDR_PER_SECOND),

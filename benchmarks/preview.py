@@ -16,9 +16,11 @@ from synthetic import STANDSTILL, gaussians
 from websockets.sync.client import connect
 
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import write_config
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.saver import save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.connection import Connection, read_connection
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.bridge.messages import (
@@ -57,19 +59,19 @@ def write_run(data: Path, folder: Path) -> PreviewCamera:
         backbone=dataclasses.replace(preset.backbone, stop=0.0),
     )
     camera = scene.train[0].camera
-    trainer = Trainer(scene, config)
+    state = begin(scene, config)
     (means, quaternions, scales, opacities, _), _ = gaussians(COUNT, 3, camera.width)
     pose = torch.tensor(camera.camera_to_world, dtype=torch.float32)
-    parameters = trainer.method.gaussians.parameters
+    parameters = state.method.gaussians.parameters
     with torch.no_grad():
         parameters["means"].copy_(means @ pose[:3, :3].T + pose[:3, 3])
         parameters["quaternions"].copy_(quaternions)
         parameters["log_scales"].copy_(scales.log())
         parameters["opacity_logits"].copy_(opacities.logit())
-    trainer.step()  # so that the optimiser has a state
-    trainer.iteration = config.iterations // 2
+    step(state)  # so that the optimiser has a state
+    state.iteration = config.iterations // 2
     folder.mkdir()
-    trainer.save(folder)
+    save(state, folder)
     write_config(folder / "config.json", config, data, "default")
     return PreviewCamera(
         pose=tuple(float(x) for x in camera.camera_to_world.reshape(-1)),

@@ -23,14 +23,13 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from synthetic import LEARNED, SIZE, trained_trainer
+from synthetic import LEARNED, SIZE, trained_state
 
 from physhdr.backend import kernels
 from physhdr.backend.methods.physhdr_common import PhysHDRMethod
 from physhdr.backend.rasterize import cpu
-from physhdr.backend.train import densify
+from physhdr.backend.train import densify, trainer
 from physhdr.backend.train.optimisers import Optimiser
-from physhdr.backend.train.trainer import Trainer
 
 REST = "torch between kernels"
 OTHER = "pictures, schedules, rest"
@@ -102,10 +101,10 @@ class Stopwatch:
 
 @contextmanager
 def stopwatch() -> Iterator[Stopwatch]:
-    """A stopwatch around every part of ``Trainer.step``."""
+    """A stopwatch around every part of ``trainer.step``."""
     watch = Stopwatch()
     try:
-        watch.put_around(Trainer, "step", OTHER, "forward")
+        watch.put_around(trainer, "step", OTHER, "forward")
         watch.put_around(PhysHDRMethod, "training_outcome", REST, "forward")
         watch.put_around(torch.Tensor, "backward", REST, "backward")
         watch.put_around(densify, "observe", "densification's statistics", "forward")
@@ -131,14 +130,14 @@ def shares(
 
     Of a state that has ``learned`` for so many iterations.
     """
-    trainer = trained_trainer(preset, count, size, learned)
+    state = trained_state(preset, count, size, learned)
     samples: dict[tuple[str, str], list[float]] = defaultdict(list)
     with stopwatch() as watch:
         for _ in range(3):
-            trainer.step()
+            trainer.step(state)
         for _ in range(steps):
             watch.seconds.clear()
-            trainer.step()
+            trainer.step(state)
             for key, seconds in watch.seconds.items():
                 samples[key].append(1e3 * seconds)
     parts: dict[str, dict[str, float]] = {}

@@ -14,10 +14,12 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import SRGB
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource, plain
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.optimisers import Optimiser, OptimiserConfig
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
+from physhdr.backend.train.trainer import step
 
 SIZE = 400  # pixels of a side
 EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)
@@ -97,12 +99,12 @@ def scene(points: np.ndarray, views: int, size: int = SIZE) -> Scene:
     return Scene(Path("synthetic"), "synthetic", train, [], [], Points(points, grey), ANCHOR)
 
 
-def trainer(config: TrainConfig, count: int, views: int = 5, size: int = SIZE) -> Trainer:
+def untrained_state(config: TrainConfig, count: int, views: int = 5, size: int = SIZE) -> State:
     """A training run of ``config`` whose Gaussians have the shapes and opacities of ``gaussians``."""
     (means, quaternions, scales, opacities, _), _ = gaussians(count, 3, size)
     # Stereo would find more in the pictures, and their exposures have nothing to do with each other.
     config = dataclasses.replace(config, initial_points="file", merged_brackets="off")
-    result = Trainer(scene(means.detach().numpy(), views, size), config)
+    result = begin(scene(means.detach().numpy(), views, size), config)
     parameters = result.method.gaussians.parameters
     with torch.no_grad():
         parameters["quaternions"].copy_(quaternions)
@@ -136,13 +138,13 @@ class DrawnPictures(PictureCache):
 LEARNED = 300
 
 
-def trained_trainer(preset: str, count: int, size: int = SIZE, learned: int = LEARNED) -> Trainer:
-    """``steady_trainer`` after ``learned`` iterations with the preset's own rates, on pictures of Gaussians.
+def trained_state(preset: str, count: int, size: int = SIZE, learned: int = LEARNED) -> State:
+    """``steady_state`` after ``learned`` iterations with the preset's own rates, on pictures of Gaussians.
 
     An untrained state is unlike any other: of `paper` most gradients are denormal. The number of Gaussians
     stays the same.
     """
-    result = steady_trainer(preset, count, size)
+    result = steady_state(preset, count, size)
     truth, _ = gaussians(max(count // 10, 100), 3, size, seed=1)
     pictures = DrawnPictures([t.detach() for t in truth], result.views)
     for index, view in enumerate(result.views):
@@ -151,20 +153,20 @@ def trained_trainer(preset: str, count: int, size: int = SIZE, learned: int = LE
     rates = PRESETS[preset].optimiser
     result.optimiser = Optimiser(result.method, rates, at_standstill.extent, result.config.iterations)
     for _ in range(learned):
-        result.step()
+        step(result)
     at_standstill.adam = result.optimiser.adam  # a training's moments, and rates that move nothing
     result.optimiser = at_standstill
     result.iteration = int(PROGRESS * result.config.iterations)
     return result
 
 
-def steady_trainer(preset: str, count: int, size: int = SIZE) -> Trainer:
+def steady_state(preset: str, count: int, size: int = SIZE) -> State:
     """A run whose every step is an iteration of late training: full SH, f_mix learning, gradients observed.
 
     Densification is not due, and the learning rates are next to nothing, so that the work stays the same.
     """
     config = PRESETS[preset]
-    result = trainer(
+    result = untrained_state(
         dataclasses.replace(
             config,
             iterations=30_000,

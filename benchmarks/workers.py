@@ -21,9 +21,10 @@ def memory(preset: str, threads: str) -> dict[str, float]:
     import tempfile
 
     import torch
-    from synthetic import trainer
+    from synthetic import untrained_state
 
     from physhdr.backend.rasterize import cpu
+    from physhdr.backend.train import trainer
     from physhdr.backend.train.presets import PRESETS
 
     cpu.set_threads(int(threads))
@@ -31,14 +32,14 @@ def memory(preset: str, threads: str) -> dict[str, float]:
     config = PRESETS[preset]
     densify = dataclasses.replace(config.backbone, start=5, every=10, threshold=0.0, budget=200_000)
     config = dataclasses.replace(config, iterations=20, sh_degree_every=1, backbone=densify)
-    run = trainer(
+    state = untrained_state(
         dataclasses.replace(config, backbone=dataclasses.replace(densify, stop=0.6)), 180_000, views=35
     )
-    pictures = sum(view.image(k).nbytes for view in run.views for k in range(len(view.exposures)))
+    pictures = sum(view.image(k).nbytes for view in state.views for k in range(len(view.exposures)))
     with tempfile.TemporaryDirectory() as folder:
-        for _ in run.run(Path(folder)):
+        for _ in trainer.run(state, Path(folder)):
             pass
-    return {"peak_mb": peak_mb(), "gaussians": len(run.method.gaussians), "pictures_mb": pictures / 1e6}
+    return {"peak_mb": peak_mb(), "gaussians": len(state.method.gaussians), "pictures_mb": pictures / 1e6}
 
 
 def peak_mb() -> float:
@@ -59,16 +60,17 @@ def peak_mb() -> float:
 def first_iteration(data: str, run: str) -> None:
     """``physhdr train`` until its first iteration is done; prints the time of day and ends at once."""
     from physhdr.backend.cli import main
-    from physhdr.backend.train.trainer import Trainer
+    from physhdr.backend.train import duration, trainer
+    from physhdr.backend.train.state import State
 
-    step = Trainer.step
+    step = trainer.step
 
-    def step_and_stop(self: Trainer) -> Any:
-        step(self)
+    def step_and_stop(state: State) -> Any:
+        step(state)
         report({"done": time.time()})
         os._exit(0)
 
-    Trainer.step = step_and_stop
+    trainer.step = duration.step = step_and_stop
     main(["train", data, "--out", run, "--overwrite", "--device", "cpu"])
 
 

@@ -24,8 +24,8 @@ from physhdr.backend.scene.pictures import read_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint, require_configuration
 from physhdr.backend.train.config import CONFIG_FILE, read_config
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE
 from physhdr.bridge.errors import PhysHDRError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
 ROOT = Path(__file__).resolve().parent.parent
 BLENDER = ROOT / ".venvs" / "run-blender"

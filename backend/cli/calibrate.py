@@ -10,7 +10,7 @@ from ...bridge.errors import DataMismatchError
 from ..runs.run import open_run
 from ..runs.terminal import console
 from ..train.calibration import calibration_of, write_calibration
-from ..train.trainer import learned_of_photographs
+from ..train.saver import learned_of_photographs
 
 
 @dataclass(frozen=True)

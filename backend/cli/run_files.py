@@ -18,7 +18,6 @@ from ...bridge.ply_model import PROVENANCE
 from ..export import BAKED_FILE, CAMERAS_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import confidence_column, network_comments, parameter_columns
 from ..export.fitted_bake import fitted_colour_sh, method_picture
-from ..model.gaussians import Gaussians
 from ..runs.files import writable_folder
 from ..runs.run import open_run
 from .exporting import BakedLook, Exporting
@@ -84,7 +83,7 @@ class RunFiles(Exporting, BakedLook):
         write_standard_ply(out / BAKED_FILE, **standard, comments=comments)
         say(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")
 
-        if not isinstance(run.method.backbone, Gaussians):
+        if not run.method.backbone.is_fixed:
             say("no lossless.ply: this run's Gaussians are other ones for each view")
             return {"folder": str(out), "gaussians": method.size}
         comments.append("phys_ columns and phys_network lines hold the model, scene-linear; keep these")

@@ -30,8 +30,10 @@ from ..train import events
 from ..train.config import CONFIG_FILE, TrainConfig
 from ..train.duration import Duration
 from ..train.presets import PRESETS, preset_named
+from ..train.saver import CHECKPOINT_SECONDS
 from ..train.settings import Setting, as_text, assigned, settings_of, type_in_words, with_settings
-from ..train.trainer import CHECKPOINT_SECONDS, Trainer
+from ..train.state import State
+from ..train.trainer import run as train
 from .given import as_typed, given_of
 from .kernels import compile_kernels
 
@@ -106,26 +108,27 @@ class Train:
         if not self.checkpoint_seconds >= 0.0:
             raise BadValueError(f"--checkpoint-seconds must be 0 or more, got {self.checkpoint_seconds}")
         expected: list[Duration] = []
-        with self._begun(expected.append) as (trainer, run):
+        with self._begun(expected.append) as (state, run):
             stop = _StopOnRequest()
             with caught(stop.handle), EventLog(run.folder) as log:
-                told = trainer.run(
+                told = train(
+                    state,
                     run.folder,
                     should_stop=lambda: stop.requested,
                     monitor=view_monitor(run.scene),
                     checkpoint_seconds=self.checkpoint_seconds,
-                    between=Tidying(trainer),
+                    between=Tidying(state),
                 )
                 # Closed while it can still be told what fails: it saves on its way out.
                 with closing(told):
                     for event in told:
                         log.show(_with_time_left(event, expected))
-        if trainer.iteration < run.config.iterations:
+        if state.iteration < run.config.iterations:
             aside.print(f"stopped; go on with: physhdr train --resume {as_word(run.folder)}")
             return 130
         return 0
 
-    def _begun(self, expect: Callable[[Duration], None]) -> AbstractContextManager[tuple[Trainer, Run]]:
+    def _begun(self, expect: Callable[[Duration], None]) -> AbstractContextManager[tuple[State, Run]]:
         workshop = Workshop(
             report=aside.print,
             expect=expect,

@@ -13,8 +13,9 @@ from ..kernels.ahead import compile_ahead
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
 from ..scene.source import Decoded, PictureSource, plain
+from ..train.begin import begin
 from ..train.presets import PRESETS, needed_by_presets
-from ..train.trainer import Trainer
+from ..train.trainer import step
 from .findings import CheckFailedError
 
 SIZE, VIEWS, POINTS = 48, 3, 200
@@ -74,10 +75,10 @@ def one_step(where: str) -> tuple[float, int]:
     and the plain one draw different pictures.
     """
     scene = made_up_scene()
-    trainer = Trainer(scene, PRESETS["default"], device=where)
-    method, camera = trainer.method, scene.train[0].camera
+    state = begin(scene, PRESETS["default"], device=where)
+    method, camera = state.method, scene.train[0].camera
     before = {name: t.detach().clone() for name, t in method.backbone.parameters.items()}
-    loss = float(sum(trainer.step().values()))
+    loss = float(sum(step(state).values()))
     after = method.backbone.parameters
     remedy = "Please report this with the log."
     if not math.isfinite(loss):

@@ -72,7 +72,7 @@ def on_gaussians(method: Method, cameras: Sequence[Camera]) -> Method:
 
     ``cameras``: those for which the Gaussians are to be right, where they are others for each view.
     """
-    if method.device.type == "cpu" and isinstance(method.backbone, Gaussians):
+    if method.device.type == "cpu" and method.backbone.is_fixed:
         return method
     copied = copy.deepcopy(method)
     copied.to_device(torch.device("cpu"))

@@ -155,8 +155,8 @@ class Pool(Protocol):
         """``[3, H, W]`` in [0, 1], where the method is."""
         ...
 
-    def first_points(self) -> np.ndarray:
-        """Points of surfaces ``[P, 3]`` (metres): the data set's, else stereo's by ``first_response``."""
+    def first_points(self, response: Response) -> np.ndarray:
+        """Points of surfaces ``[P, 3]`` (metres): the data set's, else stereo's by ``response``."""
         ...
 
 

@@ -156,6 +156,14 @@ class Backbone(ABC):
         """
 
     @property
+    def is_fixed(self) -> bool:
+        """Whether its splats are the same for every view, but for their colours."""
+        return False
+
+    def scatter(self, times: float, generator: torch.Generator) -> None:  # noqa: B027 (networks place theirs)
+        """Move primitives that were copied so many ``times`` as growth would: for a trial of its cost."""
+
+    @property
     @abstractmethod
     def positions(self) -> torch.Tensor:
         """``[N, 3]`` metres: where the primitives are, also for their device."""

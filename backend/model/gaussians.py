@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scene: anisotropic Gaussians, each with a reflectance and an illumination."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,6 +21,9 @@ SH_C0 = 0.28209479177387814
 NEAREST, NEIGHBOURS = 3, 9
 #: The share that a single light begins with; of several each begins with as much as what no light turns.
 AMBIENT_SHARE = 0.5
+#: Scales of n times as many Gaussians are n^-SHRINK of what they were. With 0.5 they would cover as much; a
+#: trained 60,000 of 18,000 cost a quarter less than that, and a sixth more than where each splits (0.68).
+SHRINK = 0.6
 
 
 class Gaussians(Backbone):
@@ -104,8 +108,17 @@ class Gaussians(Backbone):
             seen_at,
         )
 
+    @property
+    def is_fixed(self) -> bool:
+        return True
+
     def fixed(self, cameras: Sequence[Camera]) -> "Gaussians":
         return self
+
+    def scatter(self, times: float, generator: torch.Generator) -> None:
+        noise = torch.randn(len(self), 3, generator=generator).to(self.means)
+        self.means.add_(noise * self.scales)
+        self.log_scales.sub_(SHRINK * math.log(times))
 
     @property
     def scales(self) -> torch.Tensor:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a training begins: the trainer and its folder, for the command line and for the server alike."""
+"""How a training begins: its state and its folder, for the command line and for the server alike."""
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+import torch
 
 from ...bridge.regular import require_text, resolved
 from ..device import DeviceName, choose_device
@@ -12,12 +14,14 @@ from ..kernels.ahead import Needs
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..scene.prefetch import reading_ahead
+from ..train.begin import begin, resume
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
 from ..train.duration import Duration, time_training
 from ..train.memory import check_memory
+from ..train.plan import planned
 from ..train.presets import PRESETS
 from ..train.sizing import extent_of, found_sizes, sizes_in_words
-from ..train.trainer import Trainer
+from ..train.state import State
 from ..train.without_effect import changed_without_effect
 from .files import holds_a_run, refuse_a_run, remove_results, remove_unfinished, writable_folder
 from .lock import hold
@@ -43,22 +47,31 @@ class Workshop:
     rasteriser: Implementation = "auto"
     between: Callable[[], object] = lambda: None
 
-    def trainer(
-        self, scene: Scene, config: TrainConfig, resumed: Path | None = None, configuration: str = ""
-    ) -> Trainer:
-        """The trainer, on its device; raises ``NotEnoughMemoryError`` before anything that takes long."""
+    def begin(self, scene: Scene, config: TrainConfig) -> State:
+        """A training at its beginning; raises ``NotEnoughMemoryError`` before anything that takes long."""
+        device = self._ready(scene, config)
+        return self._timed(begin(scene, config, self.rasteriser, device))
+
+    def resume(self, folder: Path, scene: Scene, config: TrainConfig, configuration: str) -> State:
+        """That of ``folder`` from its checkpoint (``train.begin.resume``); raises as ``begin``."""
+        device = self._ready(scene, config, resumed=True)
+        return self._timed(resume(folder, scene, config, self.rasteriser, device, configuration))
+
+    def _ready(self, scene: Scene, config: TrainConfig, *, resumed: bool = False) -> torch.device:
+        """The device, which has the memory for it, and the kernels that a beginning calls, too."""
         device, why = choose_device(self.device)
         self.report(f"computing {why}")
-        check_memory(scene, config, device, self.report, resumed=resumed is not None)
+        check_memory(planned(scene, config), device, self.report, resumed=resumed)
         if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
-            # Before the trainer is made, which calls some of them.
             self.compile_kernels(config.method.kernels_needed())
-        trainer = Trainer(scene, config, self.rasteriser, device, resumed, configuration)
-        duration = time_training(trainer, between=self.between)
+        return device
+
+    def _timed(self, state: State) -> State:
+        duration = time_training(state, between=self.between)
         if duration is not None:
             self.report(f"training will take {duration}")
             self.expect(duration)
-        return trainer
+        return state
 
 
 @contextmanager
@@ -71,7 +84,7 @@ def start_run(
     typed: Collection[str],
     overwrite: bool,
     workshop: Workshop,
-) -> Iterator[tuple[Trainer, Run]]:
+) -> Iterator[tuple[State, Run]]:
     """A new run in ``out``, at iteration 0; nobody else trains there while this is active.
 
     What of ``config`` follows from the data, and is not among the ``typed`` settings, is found here
@@ -92,8 +105,8 @@ def start_run(
         before, config = config, found_sizes(extent, config, typed)
         if words := sizes_in_words(extent, before, config):
             workshop.report(words)
-        trainer = workshop.trainer(scene, config)
-        if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
+        state = workshop.begin(scene, config)
+        if preset in PRESETS and (options := changed_without_effect(state, PRESETS[preset])):
             workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
         workshop.between()  # the last moment at which the run that was there can stay
         # In this order: old weights must never lie beside a new configuration, whenever this is killed.
@@ -101,13 +114,13 @@ def start_run(
             remove_results(folder)
             EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, config, data, preset)
-        trainer.views_digest = write_views(folder, scene)
-        with reading_ahead(trainer, config.iterations):
-            yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
+        state.views_digest = write_views(folder, scene)
+        with reading_ahead(state, config.iterations):
+            yield state, Run(folder, preset, config, scene, state.method, 0)
 
 
 @contextmanager
-def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[tuple[Trainer, Run]]:
+def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[tuple[State, Run]]:
     """A run from its checkpoint; nobody else trains there while this is active.
 
     ``data`` stands in for its data set, where that has moved. The views are those that it was begun with.
@@ -120,10 +133,10 @@ def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[
         written = read_config(folder / CONFIG_FILE)
         scene = read_scene(data or written.data, written.config.downscale, written.config.color_space)
         scene = as_trained(folder, scene, workshop.report)
-        trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
-        run = Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
-        with reading_ahead(trainer, run.config.iterations):
-            yield trainer, run
+        state = workshop.resume(folder, scene, written.config, written.fingerprint)
+        run = Run(folder, written.preset, written.config, scene, state.method, state.iteration)
+        with reading_ahead(state, run.config.iterations):
+            yield state, run
 
 
 @contextmanager

@@ -9,13 +9,12 @@ from pathlib import Path
 
 from ...bridge.atomic import patiently, remove_leftovers, temporary_name
 from ...bridge.errors import DataMismatchError, OutputError
-from ...bridge.run_folder import VIEWS_FILE, WEB_FOLDER
+from ...bridge.run_folder import CHECKPOINT_FILE, VIEWS_FILE, WEB_FOLDER
 from ..evaluate import report
 from ..evaluate.confidence import CALIBRATION_FILES
 from ..export import FILES as EXPORTED
 from ..export.web_page import remove_web_page
 from ..train.config import CONFIG_FILE
-from ..train.trainer import CHECKPOINT_FILE
 
 #: What the safetensors library calls a file that it is still writing.
 UNFINISHED = re.compile(r"\.tmp[A-Za-z0-9]{6}")

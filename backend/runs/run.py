@@ -20,8 +20,10 @@ from ..rasterize import Implementation
 from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
 from ..train.learned_lens import LearnedLenses, lenses_of
-from ..train.learned_poses import moved
-from ..train.trainer import Trainer, learned_of_photographs, load_method
+from ..train.learned_poses import LearnedPoses, moved
+from ..train.nuisances import Nuisances
+from ..train.saver import learned_of_photographs, load_method
+from ..train.state import State
 from ..train.views import seen_exposures, training_views
 from .display_scale import display_scale
 from .terminal import console
@@ -174,15 +176,16 @@ def open_run(
     return Run(folder, written.preset, config, scene, method, iteration, lenses, twists)
 
 
-def as_learned(run: Run, trainer: Trainer) -> Run:
+def as_learned(run: Run, state: State) -> Run:
     """The run as its training is now, whatever it has learned of the photographs with it."""
-    learned = {} if trainer.nuisances is None else trainer.nuisances.tensors()
+    nuisances, poses = state.part(Nuisances), state.part(LearnedPoses)
+    learned = {} if nuisances is None else nuisances.tensors()
     cameras = [view.camera for view in run.scene.train]
     return replace(
         run,
-        iteration=trainer.iteration,
+        iteration=state.iteration,
         lenses=lenses_of((learned.get("vignetting"), learned.get("reach")), cameras),
-        twists=None if trainer.poses is None else trainer.poses.twists,
+        twists=None if poses is None else poses.twists,
     )
 
 

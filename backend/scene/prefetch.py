@@ -6,7 +6,7 @@ cache, what the next iterations want can be read while this one computes. What i
 """
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -23,7 +23,11 @@ class Schedule(Protocol):
     """A training, as the reader sees it. ``iteration``: the one it is at, counted from 0."""
 
     iteration: int
-    views: list[View]
+
+    @property
+    def views(self) -> Sequence[View]:
+        """Those that are drawn."""
+        ...
 
     def draw(self, iteration: int) -> tuple[View, tuple[int, ...]]:
         """The view of an iteration, and the positions in its bracket that are compared."""

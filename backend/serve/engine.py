@@ -235,10 +235,10 @@ class Engine:
             between=lambda: self._progress_of_preparing(self._status.now.message),
         )
         self._is_beginning = True
-        with job.begin(workshop) as (trainer, run):
+        with job.begin(workshop) as (state, run):
             self._progress_of_preparing("starting")
             self._is_beginning = False
-            self._training = Training(trainer, run, self, self._status, self._curves, self._expected)
+            self._training = Training(state, run, self, self._status, self._curves, self._expected)
             self._run = run
             self._run = self._training.run_to_the_end(paused=self._pause_first)
 

@@ -12,18 +12,19 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.limits import THREADS_MAX, whole
 from ...bridge.messages import ModelExport, RunOpen, TrainResume, TrainStart
 from ...bridge.model_file import SUFFIX
+from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
 from ..bounds import WHOLE_MAX
 from ..device import DeviceName
 from ..runs.begin import Workshop, resume_run, start_run
 from ..runs.files import refuse_a_run
 from ..runs.run import Run
-from ..train.config import CONFIG_FILE, ITERATIONS_MAX
+from ..train.config import ITERATIONS_MAX
 from ..train.presets import preset_named
 from ..train.settings import with_settings
-from ..train.trainer import CHECKPOINT_FILE, Trainer
+from ..train.state import State
 
 #: A run that is begun, held for as long as it is trained.
-Begun = AbstractContextManager[tuple[Trainer, Run]]
+Begun = AbstractContextManager[tuple[State, Run]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,8 @@ from ..runs.run import Run, as_learned
 from ..runs.tidy import Tidying
 from ..train import events
 from ..train.duration import Duration
-from ..train.trainer import Trainer
+from ..train.state import State
+from ..train.trainer import run as train
 from .curves import Curves, Speed
 from .status import Status, device_words, finite
 
@@ -46,16 +47,16 @@ class Training:
 
     def __init__(
         self,
-        trainer: Trainer,
+        state: State,
         run: Run,
         desk: Desk,
         status: Status,
         curves: Curves,
         expected: Duration | None = None,
     ) -> None:
-        self._trainer, self._run, self._expected = trainer, run, expected
+        self._state, self._run, self._expected = state, run, expected
         self._desk, self._status, self._curves = desk, status, curves
-        self._speed, self._tidying = Speed(), Tidying(trainer)
+        self._speed, self._tidying = Speed(), Tidying(state)
         self._paused = False
         self._found = ""  # of the cameras, known at the end
         self._scale, self._scale_from = 1.0, -SCALE_ITERATIONS  # and the iteration that it is from
@@ -64,12 +65,12 @@ class Training:
     @property
     def iteration(self) -> int:
         """The iteration reached."""
-        return self._trainer.iteration
+        return self._state.iteration
 
     @property
     def run(self) -> Run:
         """The run as it is now."""
-        return as_learned(self._run, self._trainer)
+        return as_learned(self._run, self._state)
 
     @property
     def radiance_scale(self) -> float:
@@ -85,7 +86,7 @@ class Training:
         self._status.change(
             state="paused" if paused else "training",
             iteration=self.iteration,
-            gaussians=self._trainer.method.size,
+            gaussians=self._state.method.size,
             iterations_per_second=0.0,
         )
 
@@ -94,19 +95,19 @@ class Training:
 
         ``paused``: it halts after its first iteration.
         """
-        trainer, run = self._trainer, self._run
+        state, run = self._state, self._run
         self._curves.read(run.folder / LOG_FILE, run.iteration)
-        message = trainer.start_message
+        message = state.start_message
         if self._expected is not None:
-            message = f"{message}; {self._expected} {'to go' if trainer.iteration else 'in all'}"
+            message = f"{message}; {self._expected} {'to go' if state.iteration else 'in all'}"
         self._status.change(
             state="training",
             message=message,
             seconds_left=0.0 if self._expected is None else self._expected.seconds,
             data=str(run.scene.root),
             preset=run.preset,
-            device=device_words(trainer.device),
-            iteration=trainer.iteration,
+            device=device_words(state.device),
+            iteration=state.iteration,
             iterations=run.config.iterations,
             gaussians=run.method.size,
             saved_iteration=run.iteration,
@@ -117,7 +118,8 @@ class Training:
         )
         if paused:
             self.pause(True)
-        told = trainer.run(
+        told = train(
+            state,
             run.folder,
             should_stop=lambda: self._desk.stopping,
             monitor=view_monitor(run.scene),
@@ -128,12 +130,12 @@ class Training:
             for event in told:
                 kept.show(event)
                 self._note(event)
-        stopped = trainer.iteration < run.config.iterations
-        ended = f"{'stopped' if stopped else 'finished'} at iteration {trainer.iteration}"
+        stopped = state.iteration < run.config.iterations
+        ended = f"{'stopped' if stopped else 'finished'} at iteration {state.iteration}"
         self._status.change(
             state="stopped" if stopped else "finished",
             message="; ".join(part for part in (ended, self._found) if part),
-            iteration=trainer.iteration,
+            iteration=state.iteration,
             gaussians=run.method.size,
             iterations_per_second=0.0,
             seconds_left=0.0,
@@ -161,7 +163,7 @@ class Training:
         rate = self._speed.note(now, iteration)
         return {
             "iteration": iteration,
-            "gaussians": self._trainer.method.size,
+            "gaussians": self._state.method.size,
             "iterations_per_second": rate,
             "seconds_left": self._left(iteration, rate),
         }

@@ -14,11 +14,13 @@ from typing import Any
 import torch
 
 from ...bridge.atomic import atomic_path
-from ...bridge.errors import DataMismatchError, FileDamagedError
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.regular import read_json_object
 from ..methods.base import Method
 from ..model.camera_effects import COEFFICIENTS
 from ..model.tone_mapper import ToneMapper
+from .config import TrainConfig
+from .nuisances import Nuisances
 
 FORMAT, VERSION = "physhdr-calibration", 1
 #: Every so many of the sampled response's rows are written, for people and other programs.
@@ -122,6 +124,29 @@ def read_calibration(path: Path) -> Calibration:
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else str(error)
         raise FileDamagedError(f"{path} is not a calibration: {why}", remedy) from error
+
+
+def calibrate(method: Method, nuisances: Nuisances | None, config: TrainConfig) -> None:
+    """Begin with response and vignetting as ``config.calibration`` has them.
+
+    Raises what ``read_calibration`` and ``use_response`` raise, and ``BadValueError`` for a vignetting that
+    nothing would take notice of.
+    """
+    assert config.calibration is not None
+    calibration = read_calibration(Path(config.calibration))
+    use_response(method, calibration, config.calibration)
+    if calibration.vignetting is None or not calibration.reach:
+        return
+    if nuisances is not None:
+        nuisances.know_lens(calibration.vignetting, calibration.reach)
+    elif any(calibration.vignetting):
+        is_off = config.nuisances == "off" and config.method.traits.effects
+        raise BadValueError(
+            f"{config.calibration} knows the lens's vignetting, which this training would take no notice of",
+            "Leave out --nuisances off; of a preset that has it, set --nuisances auto."
+            if is_off
+            else f"{config.method.name} knows of none: leave out --calibration.",
+        )
 
 
 def use_response(method: Method, calibration: Calibration, path: str) -> None:

@@ -120,6 +120,11 @@ class TrainConfig:
         if not holds:
             raise BadValueError(f"{option(name)} must be {may_be}, got {getattr(self, name)}")
 
+    @property
+    def budget(self) -> int:
+        """The most Gaussians that growth makes, 0 where nothing bounds it or there are none."""
+        return self.backbone.budget if self.method.traits.splats else 0
+
     def _check_traits(self) -> None:
         """Raises ``BadValueError`` for a schedule that the method cannot follow."""
         name, traits = self.method.name, self.method.traits

@@ -247,3 +247,4 @@ class GaussianGrowth(Growth):
 
     def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
         self.statistics = DensifyState(**{name: tensors[name] for name in vars(self.statistics)})
+        self.clearance = tensors.get(CLEARANCE)

@@ -17,18 +17,16 @@ from itertools import accumulate
 
 import torch
 
-from ..model.gaussians import Gaussians
 from ..simd import give_back_freed_memory
+from .growing import Growing
 from .memory import sizes_of
-from .trainer import Trainer
+from .state import State
+from .trainer import step
 
 #: Of each size and number of Gaussians so many iterations are timed, after one that is not.
 TIMED = 3
 #: The timing may take this share of the training; where iterations are too few for that, nothing is timed.
 SHARE = 0.02
-#: Scales of n times as many Gaussians are n^-SHRINK of what they were. With 0.5 they would cover as much; a
-#: trained 60,000 of 18,000 cost a quarter less than that, and a sixth more than where each splits (0.68).
-SHRINK = 0.6
 #: Checkpoints (2 % at most), the monitor's view, logs.
 BESIDE = 1.03
 
@@ -103,70 +101,65 @@ def about(seconds: float) -> str:
 
 
 def time_training(
-    trainer: Trainer,
+    state: State,
     clock: Callable[[], float] = time.perf_counter,
     between: Callable[[], object] = lambda: None,
 ) -> Duration | None:
-    """How long ``trainer`` will take from where it is; nothing of it changes, not even a random number.
+    """How long ``state`` will take from where it is; nothing of it changes, not even a random number.
 
     None where timing would take more than ``SHARE`` of it, because it is short. ``between``: called before
     each iteration that is timed; what it raises ends the timing.
     """
-    config, begun = trainer.config, trainer.iteration
-    plan = plan_of(trainer)
+    begun = state.iteration
+    plan = plan_of(state)
     sides = [False] if begun >= plan.half_until else [True, False]
-    counts = [trainer_count(trainer)]
+    counts = [len(state.method.backbone)]
     if plan.most > counts[0]:
         counts.append(plan.most)
     # All are told as if they cost the mean of what is to come, which they do.
-    if len(sides) * len(counts) * (TIMED + 1) > SHARE * (config.iterations - begun):
+    if len(sides) * len(counts) * (TIMED + 1) > SHARE * (plan.iterations - begun):
         return None
-    with torch.random.fork_rng(devices=[trainer.device] if trainer.device.type == "cuda" else []):
-        decoding, half, full = _timed(_copy(trainer), plan, sides, counts, clock, between)
-    # The copy, which was as large as the training will be. Where a method knows its trainer (HDR-NeRF's film
+    with torch.random.fork_rng(devices=[state.device] if state.device.type == "cuda" else []):
+        decoding, half, full = _timed(_copy(state), plan, sides, counts, clock, between)
+    # The copy, which was as large as the training will be. Where a method knows its state (HDR-NeRF's film
     # holds all pixels) the two hold each other, and would stay until Python happens to look for such.
     gc.collect()
     give_back_freed_memory()
     return Duration(plan, half, full, begun, decoding)
 
 
-def plan_of(trainer: Trainer) -> Plan:
+def plan_of(state: State) -> Plan:
     """As the configuration has it; growth without a bound is guessed, as for memory."""
-    config, now = trainer.config, trainer_count(trainer)
-    sizes = sizes_of(trainer.scene, config)
+    config, now = state.config, len(state.method.backbone)
+    sizes = sizes_of(state.plan)
     # Estimates of the first points are their most, and a search has found fewer by now.
-    each = trainer.method.size // max(now, 1)  # Gaussians of a primitive
+    each = state.method.size // max(now, 1)  # Gaussians of a primitive
     most = now if sizes.most == sizes.first else max(now, sizes.most // each)
-    begins, ends = trainer.schedule.backbone.growing(config.iterations)
+    begins, ends = state.plan.backbone.growing(config.iterations)
     return Plan(
         iterations=config.iterations,
         first=now,
         most=most,
-        grows_from=max(begins, trainer.iteration),
+        grows_from=max(begins, state.iteration),
         grows_until=ends,
         half_until=math.ceil(config.half_size_until * config.iterations),
     )
 
 
-def trainer_count(trainer: Trainer) -> int:
-    """The backbone's primitives; 0 of a method that has none."""
-    return len(trainer.method.backbone)
-
-
 # -- timing --------------------------------------------------------------------------------------------------
 
 
-def _copy(trainer: Trainer) -> Trainer:
-    """A trainer of its own that shares what never changes: pictures, cameras, the configuration."""
-    kept = [trainer.scene, trainer.config, trainer.pictures, trainer.device, *trainer.views]
-    memo = {id(each): each for each in kept}
-    result = copy.deepcopy(trainer, memo)
-    result.parts = tuple(part for part in result.parts if part is not result.growth)  # numbers are set here
+def _copy(state: State) -> State:
+    """A state of its own that shares what never changes: pictures, cameras, the plan."""
+    shared = [state.plan, state.data, *state.views]
+    result = copy.deepcopy(state, {id(each): each for each in shared})
+    # How many Gaussians there are is set here.
+    result.parts = tuple(part for part in result.parts if not isinstance(part, Growing))
     return result
 
 
 def _timed(
-    trial: Trainer,
+    trial: State,
     plan: Plan,
     sides: list[bool],
     counts: list[int],
@@ -177,7 +170,7 @@ def _timed(
     decoding, decoded = 0.0, set()
     seconds: dict[tuple[bool, int], float] = {}
     for count in counts:
-        if count != trainer_count(trial):
+        if count != len(trial.method.backbone):
             _grow(trial, count)
         for half in sides:
             total = 0.0
@@ -191,7 +184,7 @@ def _timed(
                     decoded.add(view)
                     decoding += clock() - begun
                 begun = clock()
-                trial.step()
+                step(trial)
                 if trial.device.type == "cuda":
                     torch.cuda.synchronize(trial.device)
                 total += (clock() - begun) if turn else 0.0
@@ -219,15 +212,11 @@ def _iteration(plan: Plan, half: bool, turn: int, *, late: bool) -> int:
 
 
 @torch.no_grad()
-def _grow(trial: Trainer, count: int) -> None:
+def _grow(trial: State, count: int) -> None:
     """Make it ``count`` primitives by splitting each into as many, as growth would."""
     method = trial.method
     backbone = method.backbone
     now = len(backbone)
     source = torch.div(torch.arange(count, device=method.device) * now, count, rounding_mode="floor")
     trial.optimiser.resample(backbone, source, torch.ones(count, dtype=torch.bool, device=method.device))
-    if isinstance(backbone, Gaussians):
-        generator = torch.Generator().manual_seed(0)
-        noise = torch.randn(count, 3, generator=generator).to(backbone.means)
-        backbone.means.add_(noise * backbone.scales)
-        backbone.log_scales.sub_(SHRINK * math.log(count / now))
+    backbone.scatter(count / now, torch.Generator().manual_seed(0))

@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How primitives are added and removed while a method trains: one contract, one strategy a backbone."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 
 import torch
 
 from ...bridge.errors import PhysHDRError
-from ..methods.base import Batch, Drawn, Outcome
+from ..methods.base import Drawn
 from ..model.backbone import BackboneConfig
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
-from .parts import Part
 
 
 class NoGaussiansLeftError(PhysHDRError):
     """Pruning would remove all there are."""
 
 
-class Growth(Part):
-    """A strategy with its statistics, bound to a method and its optimiser."""
-
-    name = "statistics"
+class Growth(ABC):
+    """A strategy with its statistics, bound to a method and its optimiser (``growing.py`` calls it)."""
 
     @abstractmethod
     def observe(self, drawn: Drawn, camera: Camera, iteration: int) -> None:
@@ -30,12 +28,13 @@ class Growth(Part):
     def control(self, iteration: int) -> None:
         """Grow and prune if it is due after ``iteration`` iterations (counted from 1)."""
 
-    def after(self, outcome: Outcome, batch: Batch) -> None:
-        if outcome.drawn is not None:
-            self.observe(outcome.drawn, batch.camera, batch.iteration)
+    @abstractmethod
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Everything that resuming needs, by name."""
 
-    def step(self, batch: Batch) -> None:
-        self.control(batch.iteration + 1)
+    @abstractmethod
+    def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Take back what ``tensors`` gave."""
 
 
 def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:

@@ -21,19 +21,23 @@ with a count of its own.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
 from ...bridge.axes import camera_to_world_opengl
+from ...bridge.errors import BadValueError
 from ..methods.base import Batch, Outcome
 from ..model.backbone import Splats
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from ..scene.scene import View
+from .data import Shot
 from .nuisances import ADAM_EPSILON, BETAS
-from .parts import Part, Shot
+from .plan import Plan
+from .state import Part, State
 
 #: ω and τ.
 NUMBERS = 6
@@ -83,6 +87,18 @@ class LearnedPoses(Part):
     """
 
     name = "poses"
+
+    @classmethod
+    def is_wanted(cls, plan: Plan) -> bool:
+        mode = plan.config.poses
+        if mode == "on" and not plan.splats:
+            name = plan.config.method.name
+            raise BadValueError(f"{name} cannot learn poses", "Leave out --poses on.")
+        return mode == "on" or (mode == "auto" and plan.splats and plan.seen.scene.photographs)
+
+    @classmethod
+    def new(cls, state: State) -> Self:
+        return cls(state.views, state.method.backbone.positions)
 
     def __init__(self, views: Sequence[View], positions: torch.Tensor) -> None:
         self._row = {view: row for row, view in enumerate(views)}
@@ -163,7 +179,8 @@ class LearnedPoses(Part):
         """How each view's camera has moved, ``[V, 6]``: ω in radians, τ in metres, as ``moved`` takes it."""
         return self.twist * self.pixel
 
-    def __str__(self) -> str:
+    @property
+    def summary(self) -> str:
         """How far poses have moved: what is in the middle of a view, at its median depth, in pixels."""
         across, down = self.twist[:, 3] + self.twist[:, 1], self.twist[:, 4] - self.twist[:, 0]
         pixels = np.hypot(across, down)

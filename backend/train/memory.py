@@ -16,16 +16,13 @@ import torch
 from ..kernels.ahead import CONTEXT
 from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, picture_room, room
 from ..scene.encoding import CAMERA
-from ..scene.points import with_points_file
 from ..scene.resident import picture_room_on
-from ..scene.scene import Scene, View
+from ..scene.scene import View
 from ..shell import option
 from ..start.initialise import most_of_stereo
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
-from .config import TrainConfig, in_iterations
-from .sizing import budget_of
+from .plan import Plan
 from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
-from .views import may_merge_brackets, training_lights, training_views
 
 FLOAT = 4
 
@@ -93,19 +90,18 @@ class Estimate:
 
 
 def check_memory(
-    scene: Scene,
-    config: TrainConfig,
+    plan: Plan,
     device: torch.device,
     report: Callable[[str], None],
     *,
     resumed: bool = False,
 ) -> Estimate:
-    """What training ``config`` on ``scene`` will take on ``device``, which ``report`` is told in a line.
+    """What a training of ``plan`` will take on ``device``, which ``report`` is told in a line.
 
     ``resumed``: the configuration is a run's own, which no option changes. Raises ``NotEnoughMemoryError``
     where that is more than there is, with what would make it fit.
     """
-    sizes = sizes_of(scene, config)
+    sizes = sizes_of(plan)
     needed, there = estimate(sizes), room()
     on_card = device.type == "cuda"
     if on_card:
@@ -114,37 +110,37 @@ def check_memory(
         if of_host > there.bytes:
             raise _too_much(of_host, "", there, ["Take smaller pictures: --downscale."])
         needed, there = _on_card(sizes, device), _room_on_card(device)
-    parts = _parts(needed, sizes, config)
+    parts = _parts(needed, sizes, plan)
     if needed.total > there.bytes:
-        remedies = [] if resumed else _remedies(scene, config, sizes, there, device)
+        remedies = [] if resumed else _remedies(plan, sizes, there, device)
         raise _too_much(needed.total, f" ({parts})", there, remedies)
     report(f"training will take about {gigabytes(needed.total)}: {parts}; {there.in_words}")
     return needed
 
 
-def _parts(needed: Estimate, sizes: Sizes, config: TrainConfig) -> str:
+def _parts(needed: Estimate, sizes: Sizes, plan: Plan) -> str:
     """In gigabytes, what takes how much."""
 
     def short(size: int) -> str:
         return f"{size / 1e9:.1f}" if size >= 5e7 else "less than 0.1"
 
-    guess = "" if config.backbone.budget or sizes.most == sizes.first else "perhaps "
+    guess = "" if plan.backbone.budget or sizes.most == sizes.first else "perhaps "
     of_gaussians = f"{short(needed.gaussians)} for {guess}{sizes.most:,} Gaussians, " if sizes.most else ""
     rest = f"{short(needed.total - needed.pictures - needed.gaussians)} for the program and one iteration"
     return f"{short(needed.pictures)} for pictures, {of_gaussians}{rest}"
 
 
-def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
-    """The sizes of training ``config`` on ``scene``, without reading a picture."""
-    views = training_views(scene, config)
-    seen = [_exposures_seen(view, config) for view in views]
+def sizes_of(plan: Plan) -> Sizes:
+    """The sizes of a training, without reading a picture."""
+    config, seen = plan.config, plan.seen
+    pixels = [view.camera.width * view.camera.height for view in seen.views]
     sizes = Sizes(
-        pixels=max((view.camera.width * view.camera.height for view in views), default=0),
+        pixels=max(pixels),
         picture_bytes=sum(
-            view.camera.width * view.camera.height * count * _pixel_bytes(view)
-            for view, count in zip(views, seen, strict=True)
+            count * len(places) * _pixel_bytes(view)
+            for count, places, view in zip(pixels, seen.exposures, seen.views, strict=True)
         ),
-        exposures=max(seen, default=1),
+        exposures=max(len(places) for places in seen.exposures),
         first=0,
         most=0,
         row_bytes=0.0,
@@ -152,25 +148,25 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
         pixel_bytes=0,
         seeks=False,
     )
-    if not config.method.traits.splats:
+    if not plan.splats:
         return sizes
     needs = config.method.kernels_needed()
     channels, local = max(needs.channels), bool(needs.local_branches)
     branches = max(1, (channels - (CONTEXT if local else 0)) // 3)
     compared = sizes.exposures if config.supervision == "bracket" else 1
     developed = DEVELOPED_PIXEL_BYTES + (LOCAL_PIXEL_BYTES if local else 0)
-    points, seeks = _first_points(with_points_file(scene, config.points_file), config, views)
-    first, most = _counts(points, config)
-    wanted = config.method.attributes(training_lights(scene, config))
+    points, seeks = _first_points(plan)
+    first, most = _counts(points, plan)
+    wanted = config.method.attributes(seen.lights)
     return dataclasses.replace(
         sizes,
         first=first,
         most=most,
-        row_bytes=COPIES * FLOAT * config.backbone.numbers(wanted),
-        splat_bytes=config.backbone.splat_bytes + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
+        row_bytes=COPIES * FLOAT * plan.backbone.numbers(wanted),
+        splat_bytes=plan.backbone.splat_bytes + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
         pixel_bytes=DRAWN_PIXEL_BYTES + compared * branches * developed,
         seeks=seeks,
-        merges=sizes.exposures > 1 and may_merge_brackets(config),
+        merges=sizes.exposures > 1 and plan.merges != "off",
     )
 
 
@@ -196,11 +192,6 @@ def estimate(sizes: Sizes) -> Estimate:
     )
 
 
-def _exposures_seen(view: View, config: TrainConfig) -> int:
-    """How many of a view's pictures training sees."""
-    return 1 if config.exposure_mode == "exp1" else sum(k in view.bracket for k in config.training_exposures)
-
-
 def _pixel_bytes(view: View) -> int:
     """Of a decoded picture with its mask, the most among the view's: what is developed here has 16 bits."""
     return max(
@@ -209,23 +200,24 @@ def _pixel_bytes(view: View) -> int:
     )
 
 
-def _first_points(scene: Scene, config: TrainConfig, views: list[View]) -> tuple[int, bool]:
+def _first_points(plan: Plan) -> tuple[int, bool]:
     """At most so many points training starts from, and whether stereo seeks them."""
-    given = 0 if scene.points is None else len(scene.points.positions)
+    config, points = plan.config, plan.seen.scene.points
+    given = 0 if points is None else len(points.positions)
     source = config.initial_points
     if source == "random":
         return config.random_points, False
     if source == "file" or (source == "auto" and given):
         return given, False
-    found = min(most_of_stereo(budget_of(config), given), WORK_WIDTH**2 * len(views))
+    found = min(most_of_stereo(plan.backbone.budget, given), WORK_WIDTH**2 * len(plan.seen.views))
     return given + max(found, 0 if given else config.random_points), True
 
 
-def _counts(points: int, config: TrainConfig) -> tuple[int, int]:
+def _counts(points: int, plan: Plan) -> tuple[int, int]:
     """Gaussians at the start, and the most there will be."""
-    backbone = in_iterations(config).backbone
+    backbone = plan.backbone
     first = backbone.first_gaussians(points)
-    begins, ends = backbone.growing(config.iterations)
+    begins, ends = backbone.growing(plan.iterations)
     if begins >= ends:
         return first, first
     return first, max(first, backbone.budget) if backbone.budget else backbone.growth_factor * first
@@ -241,9 +233,7 @@ def _too_much(needed: int, parts: str, there: Room, remedies: list[str]) -> NotE
     )
 
 
-def _remedies(
-    scene: Scene, config: TrainConfig, sizes: Sizes, there: Room, device: torch.device
-) -> list[str]:
+def _remedies(plan: Plan, sizes: Sizes, there: Room, device: torch.device) -> list[str]:
     """Options of which each would make the training fit, a sentence each."""
 
     def total(changed: Sizes) -> int:
@@ -257,7 +247,7 @@ def _remedies(
             sizes, pixels=sizes.pixels // area, picture_bytes=sizes.picture_bytes // area
         )
         if total(smaller) <= there.bytes:
-            downscale = factor * scene.train[0].cache.reduction.factor
+            downscale = factor * plan.seen.scene.train[0].cache.reduction.factor
             found.append(f"Train on smaller pictures: --downscale {downscale:g}.")
             break
     if sizes.most:

@@ -19,18 +19,21 @@ not depend on how many other photos there are.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 import torch
 
-from ...bridge.errors import DataMismatchError
+from ...bridge.errors import BadValueError, DataMismatchError
 from ..methods.base import Batch, Outcome, Recording
 from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangent, widest
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import View
 from ..start.photometry import ONE_EXPOSURE, Photometry, Untold, photometry, point_effects
-from .parts import Part, Shot
+from .data import Shot
+from .plan import Plan
+from .state import Part, State
 
 #: Adam's, for values that are seen a few dozen times in a training.
 BETAS = (0.8, 0.95)
@@ -74,6 +77,28 @@ class Nuisances(Part):
     """
 
     name = "nuisances"
+
+    @classmethod
+    def is_wanted(cls, plan: Plan) -> bool:
+        config, effects = plan.config, plan.config.method.traits.effects
+        if config.nuisances == "on" and not effects:
+            raise BadValueError(
+                f"{config.method.name} knows of no gain, white balance or vignetting of a photo",
+                "Leave out --nuisances on.",
+            )
+        # Merged radiance and renders in EXR have no exposure or white balance of their own any more.
+        taken = any(encoding.clips for view in plan.seen.views for encoding in view.encodings)
+        asked = (plan.seen.scene.photographs and taken) or config.calibration is not None
+        return config.nuisances == "on" or (config.nuisances == "auto" and asked and effects)
+
+    @classmethod
+    def new(cls, state: State) -> Self:
+        return cls(
+            state.views,
+            state.data.exposures,
+            state.device,
+            response_is_known=state.config.calibration is not None,
+        )
 
     def __init__(
         self,

@@ -90,7 +90,7 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
     changes: dict[str, Any] = {}
     if extent.exposures:
         changes["training_exposures"] = extent.exposures
-    if budget := budget_of(config):
+    if budget := config.budget:
         changes["backbone.budget"] = _budget(extent, config, budget)
         iterations = _iterations(extent, config)
         changes["iterations"] = iterations
@@ -107,18 +107,13 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
     return with_settings(config, {name: value for name, value in changes.items() if name not in typed})
 
 
-def budget_of(config: TrainConfig) -> int:
-    """The most Gaussians that growth makes, 0 where nothing bounds it or there are none."""
-    return config.backbone.budget if config.method.traits.splats else 0
-
-
 def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> str:
     """What was found, as a line for people; empty where nothing differs from the preset."""
     parts = []
     if found.iterations != before.iterations:
         parts.append(f"{found.iterations:,} iterations")
-    if budget_of(found) != budget_of(before):
-        parts.append(f"up to {budget_of(found):,} Gaussians")
+    if found.budget != before.budget:
+        parts.append(f"up to {found.budget:,} Gaussians")
     if found.half_size_until != before.half_size_until:
         parts.append(f"the first {found.half_size_until:.0%} at half size")
     if found.training_exposures != before.training_exposures:

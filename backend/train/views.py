@@ -3,10 +3,11 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ...bridge.errors import DataMismatchError
+from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import RADIANCE_MAX
 from ..kernels.activations import LOG_RADIANCE_RANGE
@@ -51,12 +52,6 @@ def log_radiance_range(views: Sequence[View], exposures: Sequence[tuple[int, ...
     return max(low, -most), min(high, most)
 
 
-def may_merge_brackets(config: TrainConfig) -> bool:
-    """Whether training pictures may be merged with their brackets; a published method sees them as taken."""
-    wanted = config.merged_brackets
-    return wanted == "on" or (wanted == "auto" and config.method.traits.effects)
-
-
 def training_exposures(view: View, config: TrainConfig) -> tuple[int, ...]:
     """Positions in the view's bracket; ``config.training_exposures`` are places in the whole one.
 
@@ -83,3 +78,35 @@ def seen_exposures(views: Sequence[View], config: TrainConfig) -> list[tuple[int
         return allowed
     random = (np.random.default_rng([config.seed, STREAM_EXPOSURES, index]) for index in range(len(views)))
     return [(int(rng.choice(each)),) for rng, each in zip(random, allowed, strict=True)]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a training may look at: ``views`` of ``scene``, at ``exposures``, their positions in each bracket.
+
+    ``lights``: names of those that it learns levels of; ``responses``: what is known of the pictures';
+    ``range``: bounds of ln radiance.
+    """
+
+    scene: Scene
+    views: list[View]
+    exposures: list[tuple[int, ...]]
+    lights: tuple[str, ...]
+    responses: Responses
+    range: tuple[float, float]
+
+
+def seen_by(scene: Scene, config: TrainConfig) -> Seen:
+    """What a training of ``config`` sees of ``scene``; raises ``BadValueError`` where there are no views."""
+    views = training_views(scene, config)
+    if not views:
+        raise BadValueError(f"{scene.root} has no training views")
+    exposures = seen_exposures(views, config)
+    return Seen(
+        scene,
+        views,
+        exposures,
+        training_lights(scene, config),
+        responses_of(views, exposures),
+        log_radiance_range(views, exposures),
+    )

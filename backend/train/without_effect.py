@@ -7,10 +7,10 @@ from typing import Any
 
 from ..model.tone_mapper import ToneMapper
 from ..shell import option
-from .beginning import lie_on_surfaces, may_have_strays
 from .config import TrainConfig
+from .first_primitives import lie_on_surfaces, may_have_strays
 from .optimisers import OptimiserConfig
-from .trainer import Trainer
+from .state import State
 
 #: Networks begin at random values, and a batch of rays is drawn from all pictures.
 OF_SPLATS = (
@@ -31,30 +31,30 @@ OF_SPLATS = (
 )
 
 
-def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
-    """Settings, as they are typed, that are not the preset's and that ``trainer`` never reads."""
-    unread = _unread(trainer)
+def changed_without_effect(state: State, preset: TrainConfig) -> list[str]:
+    """Settings, as they are typed, that are not the preset's and that ``state`` never reads."""
+    unread = _unread(state)
     return [
         option(name)
-        for name in _differences(trainer.config, preset)
+        for name in _differences(state.config, preset)
         if name in unread or name.partition(".")[0] in unread
     ]
 
 
-def _unread(trainer: Trainer) -> set[str]:
-    method = trainer.method
-    if not trainer.config.method.traits.splats:
+def _unread(state: State) -> set[str]:
+    plan, method = state.plan, state.method
+    if not plan.splats:
         return {*OF_SPLATS}
-    unread = {*trainer.config.backbone.unread}
-    if trainer.config.initial_points in ("stereo", "random"):
+    unread = {*plan.backbone.unread}
+    if plan.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
-    if trainer.config.method.traits.initial_radiance != "merged":
+    if plan.config.method.traits.initial_radiance != "merged":
         unread.add("far_shell")  # points of no colour
-    if trainer.config.merged_brackets == "on" and trainer.merged is None:
+    if plan.merges == "on" and state.data.merged is None:
         unread.add("merged_brackets")
-    if not lie_on_surfaces(trainer.scene, trainer.config):
+    if not lie_on_surfaces(plan):
         unread.add("initial_thickness")
-    if not may_have_strays(trainer.scene, trainer.config):
+    if not may_have_strays(plan):
         unread.add("initial_size_limit")
     mapper = method.tone_mapper
     if isinstance(mapper, ToneMapper):
@@ -64,7 +64,7 @@ def _unread(trainer: Trainer) -> set[str]:
             unread.add("method.tone_mapper.initial_slope")
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}
     own = method.rates().keys()
-    learning = {name for name in trainer.optimiser.rates if name not in own}
+    learning = {name for name in state.optimiser.rates if name not in own}
     if learning <= {"means", "radiance_networks", "tone_mapper"}:
         unread.add("optimiser.rates_for")
     if "means" in learning:

@@ -285,7 +285,7 @@ class HDRNeRF(WithoutSplats):
         if self._film is None or self._film[0] is not pool:
             if not self.space.is_known:
                 cameras = [view.camera for view in pool.views]
-                self.space.survey(cameras, pool.first_points(), self.config.rays)
+                self.space.survey(cameras, pool.first_points(self.first_response), self.config.rays)
             self._film = pool, film_of(pool, self.space, self.device)
         return self._film[1]
 

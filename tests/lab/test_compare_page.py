@@ -17,8 +17,9 @@ import torch
 from physhdr.backend.cli import _command, main
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 from physhdr.lab import peers, presets
 from physhdr.lab.benchmark.external import FIELDS
 from physhdr.lab.benchmark.plan import PLACEHOLDERS, make_plan
@@ -133,8 +134,8 @@ def test_its_further_term_is_one_of_the_loss(mine, tiny_data):
     """Beside those of the baseline, which it leaves as they are."""
     scene = read_scene(tiny_data)
     configs = [PRESETS[name] for name in ("mine", "baseline")]
-    trainers = [Trainer(scene, dataclasses.replace(config, iterations=3)) for config in configs]
-    ours, theirs = (trainer.step() for trainer in trainers)
+    trainers = [begin(scene, dataclasses.replace(config, iterations=3)) for config in configs]
+    ours, theirs = (step(state) for state in trainers)
     assert float(ours.pop("dark")) > 0.0 and ours.keys() == theirs.keys()
     assert all(torch.equal(torch.as_tensor(ours[k]), torch.as_tensor(theirs[k])) for k in ours)
 

@@ -7,12 +7,15 @@ import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.state import State
+from physhdr.backend.train.trainer import step
 
 from . import truth
 from .loading import ROOT
@@ -57,41 +60,41 @@ def steady(preset: str) -> TrainConfig:
     )
 
 
-def make_trainer(side: Side, preset: str, count: int, size: int, views: int) -> truth.TrainerOn:
+def begun_state(side: Side, preset: str, count: int, size: int, views: int) -> State:
     """A run on the benchmark's Gaussians, with its pictures where they will be."""
     (means, quaternions, scales, opacities, _), _ = synthetic.gaussians(count, 3, size)
     scene = synthetic.scene(means.detach().numpy(), views, size)
-    trainer = truth.TrainerOn(scene, steady(preset), side)
-    parameters = trainer.method.gaussians.parameters
+    state = truth.begin_on(scene, steady(preset), side)
+    parameters = state.method.gaussians.parameters
     with torch.no_grad():
         parameters["quaternions"].copy_(quaternions)
         parameters["log_scales"].copy_(scales.log())
         parameters["opacity_logits"].copy_(opacities.logit())
-    for view, allowed in zip(trainer.views, trainer.exposures, strict=True):
+    for view, allowed in zip(state.views, state.data.exposures, strict=True):
         for k in allowed:
-            trainer.pictures.get(view, k)
-    trainer.iteration = int(synthetic.PROGRESS * WHOLE)
-    return trainer
+            state.data.pictures.get(view, k)
+    state.iteration = int(synthetic.PROGRESS * WHOLE)
+    return state
 
 
 def preset(side: Side, name: str, count: int, size: int, views: int, repeats: int) -> Iterator[Figure]:
     """All figures of a preset at ``count`` Gaussians and ``size``² pixels."""
     side.forget_peak()
     with side.computing():
-        trainer = make_trainer(side, name, count, size, views)
-        yield Figure(f"{name}: first iteration (networks compiled)", side.seconds(trainer.step), "s")
+        state = begun_state(side, name, count, size, views)
+        yield Figure(f"{name}: first iteration (networks compiled)", side.seconds(partial(step, state)), "s")
         for _ in range(max(1, repeats // 10)):
-            trainer.step()
-        seconds = side.seconds(trainer.step, repeats)
+            step(state)
+        seconds = side.seconds(partial(step, state), repeats)
         yield Figure(f"{name}: iteration", 1e3 * seconds, "ms")
         minutes = seconds * WHOLE / 60.0
         yield Figure(f"{name}: {WHOLE} such iterations", minutes, "min", at_most=5.0)
         yield from _peak(side, name)
         what = f"{name}: the host waits for the card, in an iteration"
-        yield Figure(what, _waits(side, trainer), "times", at_most=1.0)
+        yield Figure(what, _waits(side, state), "times", at_most=1.0)
 
-        method = trainer.method
-        cameras = itertools.cycle([view.camera for view in trainer.views])
+        method = state.method
+        cameras = itertools.cycle([view.camera for view in state.views])
         side.seconds(lambda: method.ldr(next(cameras), 1.0), max(2, repeats // 10))
         ldr = side.seconds(lambda: method.ldr(next(cameras), 1.0), repeats)
         hdr = side.seconds(lambda: method.hdr(next(cameras)), repeats)
@@ -132,12 +135,12 @@ def rasteriser(side: Side, count: int, size: int, repeats: int, channels: int = 
 def iterations(side: Side, preset: str, count: int, size: int, views: int, repeats: int) -> Iterator[Figure]:
     """Milliseconds of an iteration at one size, and the memory."""
     with side.computing():
-        trainer = make_trainer(side, preset, count, size, views)
+        state = begun_state(side, preset, count, size, views)
         for _ in range(max(2, repeats // 10)):
-            trainer.step()
+            step(state)
         side.forget_peak()
         name = f"{preset}, {count} Gaussians, {size}×{size}"
-        yield Figure(f"{name}: iteration", 1e3 * side.seconds(trainer.step, repeats), "ms")
+        yield Figure(f"{name}: iteration", 1e3 * side.seconds(partial(step, state), repeats), "ms")
         if allocated := side.peak_bytes()[0]:
             yield Figure(f"{name}: peak memory", allocated / 1e9, "GB")
 
@@ -149,7 +152,7 @@ def _peak(side: Side, name: str) -> Iterator[Figure]:
         yield Figure(f"{name}: peak memory that torch held", reserved / 1e9, "GB")
 
 
-def _waits(side: Side, trainer: truth.TrainerOn) -> float:
+def _waits(side: Side, state: State) -> float:
     """How often a step makes the host wait for the card, as torch counts it; once for the pairs."""
     if side.device.type != "cuda":
         return 0.0
@@ -158,7 +161,7 @@ def _waits(side: Side, trainer: truth.TrainerOn) -> float:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
         try:
-            trainer.step()
+            step(state)
         finally:
             torch.cuda.set_sync_debug_mode("default")
     return float(sum("called a synchronizing" in str(warning.message) for warning in caught))
@@ -170,12 +173,12 @@ def profile(side: Side, name: str, count: int, size: int, rows: int = 25) -> str
     if side.device.type == "cuda":
         activities.append(torch.profiler.ProfilerActivity.CUDA)
     with side.computing():
-        trainer = make_trainer(side, name, count, size, views=2)
+        state = begun_state(side, name, count, size, views=2)
         for _ in range(3):
-            trainer.step()
+            step(state)
         with torch.profiler.profile(activities=activities) as record:
             for _ in range(10):
-                trainer.step()
+                step(state)
             side.wait()
     key = "self_device_time_total" if side.device.type == "cuda" else "self_cpu_time_total"
     return record.key_averages().table(sort_by=key, row_limit=rows, max_name_column_width=60)

@@ -9,7 +9,8 @@ import torch
 
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
+from physhdr.backend.train.trainer import step
 
 from . import truth
 from .side import Side
@@ -116,14 +117,16 @@ def iteration(side: Side, oracle: Side, preset: str, size: int, count: int) -> I
 
     def computed(by: Side) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         with by.computing():
-            trainer = truth.TrainerOn(truth.scene(size, count), truth.short(preset, 60), by)
-            method = trainer.method
-            _rough_up(trainer)
-            method.active_sh_degree = trainer.config.method.sh_degree
-            view = trainer.views[1]
+            state = truth.begin_on(truth.scene(size, count), truth.short(preset, 60), by)
+            method = state.method
+            _rough_up(state)
+            method.active_sh_degree = state.config.method.sh_degree
+            view = state.views[1]
             drawn = method.draw(view.camera, view.lighting_levels, view.exposures[2])
             rendering = method.develop(drawn, view.exposures[2])
-            total = torch.stack(list(method.losses(rendering, trainer.pictures.get(view, 2)).values())).sum()
+            total = torch.stack(
+                list(method.losses(rendering, state.data.pictures.get(view, 2)).values())
+            ).sum()
             total.backward()
         parameters = {**method.gaussians.parameters, **dict(method.named_parameters())}
         return total, {name: p.grad for name, p in parameters.items() if p.grad is not None}
@@ -136,10 +139,10 @@ def iteration(side: Side, oracle: Side, preset: str, size: int, count: int) -> I
             yield Finding(f"{preset}: gradient of {name}", relative(gradients[name], expected), GRADIENT)
 
 
-def _rough_up(trainer: Trainer) -> None:
+def _rough_up(state: State) -> None:
     """Make every parameter matter: at their start, networks and higher SH coefficients are zero."""
     generator = torch.Generator().manual_seed(5)
-    parameters = [*trainer.method.gaussians.parameters.values(), *trainer.method.parameters()]
+    parameters = [*state.method.gaussians.parameters.values(), *state.method.parameters()]
     with torch.no_grad():
         for parameter in parameters:
             parameter += 0.1 * torch.randn(parameter.shape, generator=generator).to(parameter.device)
@@ -152,12 +155,10 @@ def training(
 
     def trained(by: Side, seed: int) -> float:
         with by.computing():
-            trainer = truth.TrainerOn(
-                truth.scene(size, count, seed=seed), truth.short(preset, iterations), by
-            )
+            state = truth.begin_on(truth.scene(size, count, seed=seed), truth.short(preset, iterations), by)
             for _ in range(iterations):
-                trainer.step()
-            return truth.psnr_of_test_views(trainer)
+                step(state)
+            return truth.psnr_of_test_views(state)
 
     found, expected = (sum(trained(by, seed) for seed in range(scenes)) / scenes for by in (side, oracle))
     what = f"{preset}: {scenes} × {iterations} iterations, {found:.2f} dB against {expected:.2f}"

@@ -12,9 +12,10 @@ from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource, plain
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
 
 from .side import Side
 
@@ -103,20 +104,20 @@ def short(preset: str, iterations: int) -> TrainConfig:
     )
 
 
-class TrainerOn(Trainer):
-    """A trainer on a side that starts from plain grey Gaussians at the scene's points.
+def begin_on(scene: Scene, config: TrainConfig, side: Side) -> State:
+    """A training on a side that starts from plain grey Gaussians at the scene's points.
 
-    The trainer's own start looks for neighbours with SciPy, which may not be there; nor are brackets merged,
+    A training's own start looks for neighbours with SciPy, which may not be there; nor are brackets merged,
     which needs it, too.
     """
+    points = scene.points
+    assert points is not None
 
-    def __init__(self, scene: Scene, config: TrainConfig, side: Side) -> None:
-        config = dataclasses.replace(config, merged_brackets="off")
-        super().__init__(scene, config, side.implementation, side.device)
+    def placing(state: State, nuisances: object) -> None:
+        state.method.backbone.parameters = grey_gaussians(points.positions, config).parameters
 
-    def _place(self) -> None:
-        assert self.scene.points is not None
-        self.method.backbone.parameters = grey_gaussians(self.scene.points.positions, self.config).parameters
+    config = dataclasses.replace(config, merged_brackets="off")
+    return begin(scene, config, side.implementation, side.device, placing)
 
 
 def grey_gaussians(positions: np.ndarray, config: TrainConfig) -> Gaussians:
@@ -142,12 +143,12 @@ def grey_gaussians(positions: np.ndarray, config: TrainConfig) -> Gaussians:
 
 
 @torch.no_grad()
-def psnr_of_test_views(trainer: Trainer) -> float:
+def psnr_of_test_views(state: State) -> float:
     """Mean PSNR in dB of the LDR prediction over all test views and training exposures."""
     values = []
-    for view in trainer.scene.test:
-        for k in trainer.config.training_exposures:
+    for view in state.plan.seen.scene.test:
+        for k in state.config.training_exposures:
             picture = torch.tensor(view.image(k)).permute(2, 0, 1) / 255.0
-            drawn = trainer.method.ldr(view.camera, view.exposures[k]).clamp(0, 1).cpu()
+            drawn = state.method.ldr(view.camera, view.exposures[k]).clamp(0, 1).cpu()
             values.append(-10.0 * float((drawn - picture).square().mean().log10()))
     return sum(values) / len(values)

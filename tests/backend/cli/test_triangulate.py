@@ -17,8 +17,8 @@ from PIL import Image
 from physhdr.backend.cli.prepare import Prepare
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.points import STRUCTURE_FROM_MOTION, read_points
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.axes import camera_to_world_opengl
 from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from physhdr.bridge.errors import PhysHDRError
@@ -149,9 +149,9 @@ def test_nothing_but_the_pictures_of_training_is_read(with_points, tmp_path):
 def test_training_starts_from_them(with_points):
     count = len(read_points(with_points / SFM).positions)
     scene = read_scene(with_points)
-    trainer = Trainer(scene, TrainConfig(points_file=SFM, initial_points="file"))
-    assert len(trainer.method.gaussians) == count
-    points, response = trainer.start_message.split(", the response ")
+    state = begin(scene, TrainConfig(points_file=SFM, initial_points="file"))
+    assert len(state.method.gaussians) == count
+    points, response = state.start_message.split(", the response ")
     assert points == f"{count:,} points of {SFM} ({STRUCTURE_FROM_MOTION})"
     assert response == "as brackets tell it"
 

@@ -17,9 +17,12 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.learned_lens import LearnedLenses, lenses_of
+from physhdr.backend.train.nuisances import Nuisances
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer, learned_of_photographs, load_method
+from physhdr.backend.train.saver import learned_of_photographs, load_method, save
+from physhdr.backend.train.trainer import run
 
 SIZE = (48, 32)
 CAMERA = Camera.from_field_of_view(np.eye(4), *SIZE, 1.1)
@@ -114,12 +117,12 @@ def test_pictures_without_the_vignetting_are_compared_without(tmp_path):
 def test_a_trained_lens_is_on_the_pictures_that_are_compared(tiny_data, tmp_path, preset):
     scene = read_scene(tiny_data)
     config = replace(PRESETS[preset], iterations=4, nuisances="on")
-    trainer = Trainer(scene, config)
-    for _ in trainer.run(tmp_path):
+    state = begin(scene, config)
+    for _ in run(state, tmp_path):
         pass
     with torch.no_grad():
-        trainer.nuisances.values["vignetting"].copy_(torch.tensor([[0.0, 0.8, 0.0]]))
-    trainer.save(tmp_path)
+        state.part(Nuisances).values["vignetting"].copy_(torch.tensor([[0.0, 0.8, 0.0]]))
+    save(state, tmp_path)
     lenses = lenses_of(learned_of_photographs(tmp_path)[0], [view.camera for view in scene.train])
     method, _ = load_method(tmp_path, config, scene.response_anchor)
     view = scene.test[0]

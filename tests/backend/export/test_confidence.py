@@ -35,8 +35,8 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
 from physhdr.backend.scene.scene import View
 from physhdr.backend.scene.source import Decoded
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
 from physhdr.backend.train.views import seen_exposures
 from physhdr.bridge.confidence import TOLERANCE
 from physhdr.bridge.srgb import to_linear
@@ -254,7 +254,7 @@ def test_confidence_is_a_probability_of_the_error():
 def test_what_training_saw_is_what_the_trainer_drew(tiny_data, mode):
     scene = read_scene(tiny_data)
     config = dataclasses.replace(PRESETS["fast"], exposure_mode=mode, iterations=1, seed=3)
-    trainer = Trainer(scene, config)
-    assert seen_exposures(trainer.views, config) == trainer.exposures
-    drawn = [(np.random.default_rng([3, 1, i]).choice([0, 2, 4]),) for i in range(len(trainer.views))]
-    assert trainer.exposures == (drawn if mode == "exp1" else [(0, 2, 4)] * len(drawn))
+    state = begin(scene, config)
+    assert seen_exposures(state.views, config) == state.data.exposures
+    drawn = [(np.random.default_rng([3, 1, i]).choice([0, 2, 4]),) for i in range(len(state.views))]
+    assert state.data.exposures == (drawn if mode == "exp1" else [(0, 2, 4)] * len(drawn))

@@ -19,7 +19,8 @@ import numba.core.registry
 from physhdr.backend.kernels.ahead import compile_ahead
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS, needed_by_presets
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.begin import begin
+from physhdr.backend.train.trainer import step
 
 def compiled():
     modules = [m for name, m in list(sys.modules.items()) if name.startswith("physhdr.backend.")]
@@ -34,7 +35,7 @@ compile_ahead(needed_by_presets())
 scene, more = read_scene(sys.argv[1]), {}
 for preset in sys.argv[2:]:
     before = compiled()
-    Trainer(scene, dataclasses.replace(PRESETS[preset], iterations=1), "cpu").step()
+    step(begin(scene, dataclasses.replace(PRESETS[preset], iterations=1), "cpu"))
     more[preset] = [name for name, count in compiled().items() if count != before.get(name, 0)]
 print(json.dumps(more))
 """

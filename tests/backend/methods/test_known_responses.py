@@ -20,9 +20,11 @@ from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
 from physhdr.backend.train.backbones import new_method
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.half_size import halved
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer, load_method
+from physhdr.backend.train.saver import load_method, save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import BadValueError, DataMismatchError
 
 LOG = LogEncoding(4.0)
@@ -183,15 +185,15 @@ def test_a_mask_that_hides_nothing_changes_nothing(tiny_data, preset):
     """The fused kernels see the same numbers: not one bit differs. So for a mask of all of a picture."""
     from physhdr.backend.scene import read_scene
 
-    trainer = Trainer(read_scene(tiny_data), dataclasses.replace(PRESETS[preset], iterations=9))
-    batch = trainer.batch(0)
-    whole = trainer.method.training_outcome(batch).terms
+    state = begin(read_scene(tiny_data), dataclasses.replace(PRESETS[preset], iterations=9))
+    batch = state.batch(0)
+    whole = state.method.training_outcome(batch).terms
     shape = batch.recordings[0].picture.shape[1:]
     masked = [dataclasses.replace(r, mask=torch.ones(shape, dtype=torch.bool)) for r in batch.recordings]
-    same = trainer.method.training_outcome(dataclasses.replace(batch, recordings=tuple(masked))).terms
+    same = state.method.training_outcome(dataclasses.replace(batch, recordings=tuple(masked))).terms
     assert {k: v.item() for k, v in whole.items()} == {k: v.item() for k, v in same.items()}
     hidden = [dataclasses.replace(r, mask=torch.zeros(shape, dtype=torch.bool)) for r in batch.recordings]
-    none = trainer.method.training_outcome(dataclasses.replace(batch, recordings=tuple(hidden))).terms
+    none = state.method.training_outcome(dataclasses.replace(batch, recordings=tuple(hidden))).terms
     assert none["rec"].item() == pytest.approx(0.0, abs=1e-6)
 
 
@@ -268,34 +270,34 @@ def config_of(iterations):
 def test_training_on_radiance_finds_it(tiny_data, tmp_path, encoding):
     """First points start at the merged radiance; loss falls; test views are compared in their own domain."""
     scene = radiance_scene(tiny_data, encoding)
-    trainer = Trainer(scene, config_of(120))
-    assert trainer.responses == "known"
-    (before,) = pairs(trainer.method, scene.test[0])
-    losses = [float(sum(trainer.step().values())) for _ in range(120)]
-    (after,) = pairs(trainer.method, scene.test[0])
+    state = begin(scene, config_of(120))
+    assert state.plan.seen.responses == "known"
+    (before,) = pairs(state.method, scene.test[0])
+    losses = [float(sum(step(state).values())) for _ in range(120)]
+    (after,) = pairs(state.method, scene.test[0])
     assert np.mean(losses[-20:]) < 0.7 * np.mean(losses[:20])
     assert after.psnr() > before.psnr() + 2.0
     # Through a checkpoint and back, without the data.
-    trainer.save(tmp_path)
-    method, iteration = load_method(tmp_path, trainer.config, None)
+    save(state, tmp_path)
+    method, iteration = load_method(tmp_path, state.config, None)
     assert iteration == 120 and not method.learns_response
     camera = scene.test[0].camera
-    assert torch.equal(method.ldr(camera, 1.0), trainer.method.ldr(camera, 1.0))
-    resumed = Trainer(scene, config_of(120), resumed=tmp_path)
-    assert resumed.method.size == trainer.method.size
+    assert torch.equal(method.ldr(camera, 1.0), state.method.ldr(camera, 1.0))
+    resumed = resume(tmp_path, scene, config_of(120))
+    assert resumed.method.size == state.method.size
     pictures = [PictureSource(v.image_paths[0], encoding=CAMERA) for v in scene.train]
     cameras = [dataclasses.replace(v, sources=(s,)) for v, s in zip(scene.train, pictures, strict=True)]
     with pytest.raises(DataMismatchError, match="other pictures"):
-        Trainer(dataclasses.replace(scene, train=cameras), config_of(120), resumed=tmp_path)
+        resume(tmp_path, dataclasses.replace(scene, train=cameras), config_of(120))
 
 
 @pytest.mark.parametrize("preset", ["baseline", "fast", "default-scaffold"])
 def test_other_presets_train_on_radiance_too(tiny_data, preset):
     """On both backbones; what a preset says of anchors and warm starts has nothing to act on."""
     config = dataclasses.replace(PRESETS[preset], iterations=9, training_exposures=(0,))
-    trainer = Trainer(radiance_scene(tiny_data), config)
-    before = {name: tensor.clone() for name, tensor in trainer.method.backbone.parameters.items()}
-    terms = [trainer.step() for _ in range(3)]
+    state = begin(radiance_scene(tiny_data), config)
+    before = {name: tensor.clone() for name, tensor in state.method.backbone.parameters.items()}
+    terms = [step(state) for _ in range(3)]
     assert "unit" not in terms[0] and all(np.isfinite(float(value)) for value in terms[-1].values())
-    after = trainer.method.backbone.parameters
+    after = state.method.backbone.parameters
     assert any(not torch.equal(after[name], tensor) for name, tensor in before.items())

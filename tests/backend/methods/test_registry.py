@@ -10,9 +10,10 @@ from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.backbone import BackboneConfig
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.backbones import BACKBONES, new_method
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import method_of
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import BadValueError
 
 #: Presets with small networks, one of each method, and both forms of PhysHDR-GS.
@@ -44,12 +45,12 @@ def test_what_is_declared_is_so(preset, tiny_data):
     # Who follows the view's light learns from lit views at their own levels; who does not never sees one.
     scene = read_scene(tiny_data)
     supervision = "bracket" if traits.brackets_at_once else "one"
-    trainer = Trainer(scene, dataclasses.replace(config, iterations=9, supervision=supervision))
-    batches = [trainer.batch(i) for i in range(len(trainer.views))]
+    state = begin(scene, dataclasses.replace(config, iterations=9, supervision=supervision))
+    batches = [state.batch(i) for i in range(len(state.views))]
     levels = {batch.levels for batch in batches}
     assert levels == ({(1.0,), (0.25,), (4.0,)} if traits.light == "view" else {(1.0,)})
     assert {len(batch.recordings) for batch in batches} == ({3} if supervision == "bracket" else {1})
-    assert trainer.step().keys()
+    assert step(state).keys()
     if traits.light == "view":
         assert method.can_relight
 

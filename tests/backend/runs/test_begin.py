@@ -16,8 +16,10 @@ from physhdr.backend.serve.engine import CancelledError
 from physhdr.backend.train import duration, sizing
 from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
 from physhdr.backend.train.events import Saved
-from physhdr.backend.train.trainer import CHECKPOINT_FILE
+from physhdr.backend.train.saver import save
+from physhdr.backend.train.trainer import run as train
 from physhdr.bridge.errors import BadValueError, DataMismatchError, OutputError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
 PRESET = TrainConfig(initial_points="random", random_points=150)
 
@@ -43,10 +45,10 @@ def begin(data, out, workshop, config=PRESET, typed=()):
 
 
 def test_what_is_found_is_told_and_written_and_is_what_a_resume_has(tiny_data, tmp_path, workshop, told):
-    with begin(tiny_data, tmp_path / "run", workshop) as (trainer, run):
-        trainer.save(run.folder)
+    with begin(tiny_data, tmp_path / "run", workshop) as (state, run):
+        save(state, run.folder)
     written = read_config(tmp_path / "run" / CONFIG_FILE).config
-    assert written == run.config == trainer.config
+    assert written == run.config == state.config
     assert written.iterations > PRESET.iterations and written.backbone.budget > PRESET.backbone.budget
     assert any(f"{written.iterations:,} iterations" in str(line) for line in told)
     told.clear()
@@ -59,8 +61,8 @@ def test_a_run_whose_folder_is_moved_is_not_split_in_two(tiny_data, tmp_path, wo
     """What was saved last goes with the folder, and the run goes on from there."""
     out, moved = tmp_path / "run", tmp_path / "moved"
     short = dataclasses.replace(PRESET, iterations=20)
-    with begin(tiny_data, out, workshop, short, ["iterations"]) as (trainer, run):
-        told = trainer.run(run.folder, checkpoint_seconds=0.0)
+    with begin(tiny_data, out, workshop, short, ["iterations"]) as (state, run):
+        told = train(state, run.folder, checkpoint_seconds=0.0)
         while not isinstance(saved := next(told), Saved):
             pass
         out.rename(moved)
@@ -72,10 +74,10 @@ def test_a_run_whose_folder_is_moved_is_not_split_in_two(tiny_data, tmp_path, wo
 
 
 def test_what_is_stopped_before_it_can_begin_leaves_the_run_that_was_there(tiny_data, tmp_path, workshop):
-    """The trainer was being made meanwhile, for seconds, and too short a training is not timed."""
+    """The state was being made meanwhile, for seconds, and too short a training is not timed."""
     out = tmp_path / "run"
-    with begin(tiny_data, out, workshop) as (trainer, run):
-        trainer.save(run.folder)
+    with begin(tiny_data, out, workshop) as (state, run):
+        save(state, run.folder)
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
 
     def stop():
@@ -93,8 +95,8 @@ def test_what_is_stopped_before_it_can_begin_leaves_the_run_that_was_there(tiny_
 
 def test_a_run_is_not_resumed_with_another_data_set(tiny_data, tmp_path, workshop):
     out, moved = tmp_path / "run", tmp_path / "moved"
-    with begin(tiny_data, out, workshop) as (trainer, run):
-        trainer.save(run.folder)
+    with begin(tiny_data, out, workshop) as (state, run):
+        save(state, run.folder)
     shutil.copytree(tiny_data, moved)
     with resume_run(out, moved, workshop) as (resumed, _):
         assert resumed.config == run.config
@@ -108,8 +110,8 @@ def test_a_run_is_not_resumed_with_another_data_set(tiny_data, tmp_path, worksho
 def test_nor_with_its_own_where_that_has_become_another(tiny_data, tmp_path, workshop, told):
     """The same folder, cameras found anew in it: nothing was asked of it, as nobody had typed it."""
     out, data = tmp_path / "run", shutil.copytree(tiny_data, tmp_path / "data")
-    with begin(data, out, workshop) as (trainer, run):
-        trainer.save(run.folder)
+    with begin(data, out, workshop) as (state, run):
+        save(state, run.folder)
     with resume_run(out, None, workshop):
         pass
     take_from_elsewhere(data)
@@ -136,8 +138,8 @@ def take_from_elsewhere(data: Path) -> None:
 
 def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):
     typed = ("iterations", "backbone.budget", "half_size_until", "random_points", "optimiser.rates_for")
-    with begin(tiny_data, tmp_path / "run", workshop, typed=typed) as (trainer, _):
-        assert trainer.config == PRESET
+    with begin(tiny_data, tmp_path / "run", workshop, typed=typed) as (state, _):
+        assert state.config == PRESET
 
 
 def test_how_long_it_will_take_is_told(tiny_data, tmp_path, workshop, told, monkeypatch):

@@ -17,6 +17,7 @@ from physhdr.backend.runs.run import open_run
 from physhdr.backend.runs.views import training_cameras
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.trainer import run as train
 from physhdr.bridge.errors import DataMismatchError, FileMissingError
 from physhdr.bridge.run_folder import CHECKPOINT_FILE, VIEWS_FILE
 
@@ -37,8 +38,8 @@ def begun(tmp_path_factory) -> Path:
     spec.loader.exec_module(layouts)
     layouts.write_nerfstudio(home / "data", masks=True, exposure_time=0.5, k1=0.02)
     words = {"typed": ["iterations"], "overwrite": False, "workshop": workshop()}
-    with start_run(home / "data", home / "run", CONFIG, "default", **words) as (trainer, run):
-        for _ in trainer.run(run.folder, should_stop=lambda: trainer.iteration >= 3):
+    with start_run(home / "data", home / "run", CONFIG, "default", **words) as (state, run):
+        for _ in train(state, run.folder, should_stop=lambda: state.iteration >= 3):
             pass
     return home
 
@@ -126,16 +127,16 @@ def test_other_pictures_are_not_trained_on(exchange, home):
 def test_the_same_pictures_elsewhere_are(home):
     data = home / "data"
     data.rename(home / "moved")
-    with resume_run(home / "run", home / "moved", workshop()) as (trainer, run):
-        assert trainer.iteration == 3 and len(run.seen()) == len(run.scene.train)
+    with resume_run(home / "run", home / "moved", workshop()) as (state, run):
+        assert state.iteration == 3 and len(run.seen()) == len(run.scene.train)
 
 
 def test_other_held_out_pictures_are_reported(home):
     path = read_scene(home / "data").test[0].image_paths[0]
     invert(path)
     told = []
-    with resume_run(home / "run", home / "data", workshop(told.append)) as (trainer, run):
-        assert trainer.iteration == 3
+    with resume_run(home / "run", home / "data", workshop(told.append)) as (state, run):
+        assert state.iteration == 3
     (line,) = (line for line in told if "held-out" in str(line))
     assert str(path) in line and line in run.scene.messages
 
@@ -196,7 +197,7 @@ def test_of_a_run_that_has_saved_nothing_yet_the_list_is_what_there_is(home):
 
 
 def test_what_is_resumed_stays_bound(home):
-    with resume_run(home / "run", home / "data", workshop()) as (trainer, run):
-        for _ in trainer.run(run.folder):
+    with resume_run(home / "run", home / "data", workshop()) as (state, run):
+        for _ in train(state, run.folder):
             pass
     assert open_run(home / "run", home / "data", report=lambda line: None).iteration == CONFIG.iterations

@@ -13,9 +13,11 @@ from safetensors.torch import load_file
 from physhdr.backend.cli import main
 from physhdr.backend.runs.run import Run, as_learned, open_run
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.learned_lens import lenses_of
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer, learned_of_photographs
+from physhdr.backend.train.saver import learned_of_photographs, save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.run_folder import CAMERAS_FILE, CHECKPOINT_FILE
 
 SHORT = ["--iterations", "16", "--set", "sh_degree_every=5"]
@@ -97,16 +99,16 @@ def test_a_run_under_training_has_all_that_is_learned_so_far(tiny_data, tmp_path
     """The backend exports while it trains: with the lens and the poses of that moment."""
     config = dataclasses.replace(PRESETS["default"], iterations=30, poses="on", nuisances="on")
     scene = read_scene(tiny_data)
-    trainer = Trainer(scene, config)
-    run = Run(tmp_path, "default", config, scene, trainer.method, 0)
-    before = as_learned(run, trainer)
+    state = begin(scene, config)
+    run = Run(tmp_path, "default", config, scene, state.method, 0)
+    before = as_learned(run, state)
     assert before.iteration == 0 and before.twists is not None and not before.twists.any()
-    while trainer.iteration < 20:
-        trainer.step()
-    now = as_learned(run, trainer)
+    while state.iteration < 20:
+        step(state)
+    now = as_learned(run, state)
     assert now.iteration == 20 and now.twists is not None and now.twists.any()
     assert before.twists is not now.twists and not before.twists.any()
-    trainer.save(tmp_path)
+    save(state, tmp_path)
     kept = load_file(tmp_path / CHECKPOINT_FILE)
     np.testing.assert_array_equal(now.twists, (kept["poses.twist"] * kept["poses.pixel"]).numpy())
     cameras = [view.camera for view in scene.train]

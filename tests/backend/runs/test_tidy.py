@@ -10,8 +10,8 @@ import torch
 
 from physhdr.backend.runs import tidy
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.trainer import Trainer
 
 #: A block is kept after it was freed, and given back; prints the megabytes held before and after, and then.
 FREED = """
@@ -41,13 +41,13 @@ def test_what_is_freed_is_kept_until_it_is_given_back():
 @pytest.mark.parametrize(("pixels", "times"), [(500_000, 3), (499_999, 0)])
 def test_every_hundred_iterations_of_large_pictures(pixels, times, tiny_data, monkeypatch):
     given_back = []
-    monkeypatch.setattr(tidy, "give_back_freed_memory", lambda: given_back.append(trainer.iteration))
+    monkeypatch.setattr(tidy, "give_back_freed_memory", lambda: given_back.append(state.iteration))
     scene = read_scene(tiny_data)
     camera = dataclasses.replace(scene.train[0].camera, width=pixels, height=1)
-    trainer = Trainer(scene, TrainConfig(iterations=300, initial_points="random", random_points=100))
-    trainer.views[0] = dataclasses.replace(trainer.views[0], camera=camera)
-    tidying = tidy.Tidying(trainer)
-    for trainer.iteration in range(1, 301):
+    state = begin(scene, TrainConfig(iterations=300, initial_points="random", random_points=100))
+    state.views[0] = dataclasses.replace(state.views[0], camera=camera)
+    tidying = tidy.Tidying(state)
+    for state.iteration in range(1, 301):
         assert tidying() == 0.0
     assert given_back == [100, 200, 300][:times]
-    assert trainer.device == torch.device("cpu")
+    assert state.device == torch.device("cpu")

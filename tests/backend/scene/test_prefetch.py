@@ -16,8 +16,9 @@ from physhdr.backend.scene.prefetch import AHEAD, reading_ahead
 from physhdr.backend.scene.resize import Reduction
 from physhdr.backend.scene.scene import PictureCache
 from physhdr.backend.scene.source import Decoded
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 
 
 @dataclass
@@ -95,11 +96,11 @@ def test_a_training_from_a_cache_that_holds_one_bracket_is_the_same_to_the_bit(t
         scene = dataclasses.replace(
             scene, train=shared[: len(scene.train)], lit=shared[len(scene.train) :], test=[]
         )
-        trainer = Trainer(scene, config)
-        with reading_ahead(trainer, config.iterations):
+        state = begin(scene, config)
+        with reading_ahead(state, config.iterations):
             for _ in range(config.iterations):
-                trainer.step()
-        ends.append({k: v.detach().numpy() for k, v in trainer.method.gaussians.parameters.items()})
+                step(state)
+        ends.append({k: v.detach().numpy() for k, v in state.method.gaussians.parameters.items()})
     for name, values in ends[0].items():
         np.testing.assert_array_equal(values, ends[1][name])
 

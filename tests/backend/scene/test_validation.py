@@ -19,10 +19,12 @@ from physhdr.backend.evaluate.response import check_response, learned_response, 
 from physhdr.backend.evaluate.sheets import comparison_sheet
 from physhdr.backend.runs.monitor import view_monitor
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.backend.train.trainer import run
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileMissingError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
 
 @pytest.fixture
@@ -85,8 +87,8 @@ def test_other_layouts_have_none(layouts: ModuleType, tmp_path: Path, write: str
 
 
 def trained(data: Path, out: Path) -> dict[str, torch.Tensor]:
-    trainer = Trainer(read_scene(data), replace(PRESETS["default"], iterations=20))
-    for _ in trainer.run(out, monitor=view_monitor(trainer.scene)):
+    state = begin(read_scene(data), replace(PRESETS["default"], iterations=20))
+    for _ in run(state, out, monitor=view_monitor(state.plan.seen.scene)):
         pass
     return load_checkpoint(out / CHECKPOINT_FILE)[0]
 

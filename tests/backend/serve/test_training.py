@@ -34,7 +34,6 @@ from physhdr.backend.train import duration
 from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
 from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.connection import Connection
 from physhdr.bridge.messages import (
     ControlTake,
@@ -557,14 +556,14 @@ def test_a_stop_and_a_pause_do_not_wait_for_the_timing(tiny_data, tmp_path, monk
         server = SimpleNamespace(publish=told.append, answer=lambda *answered: None, show=lambda *shown: None)
         engine = engine_module.Engine(inbox, server, Curves(), engine_module.Options(threads=1))
 
-        def step(trainer, asked=asked, inbox=inbox, timed=timed, step=Trainer.step):
-            timed.append(trainer.iteration)
+        def step(state, asked=asked, inbox=inbox, timed=timed, step=duration.step):
+            timed.append(state.iteration)
             if len(timed) == 2:
                 inbox.put(Command(1, "test", 1, asked))
-            return step(trainer)
+            return step(state)
 
         with monkeypatch.context() as patched:
-            patched.setattr(Trainer, "step", step)
+            patched.setattr(duration, "step", step)
             engine._obey(Command(1, "test", 0, start_of(tiny_data, tmp_path / ended, 30)))
             patched.setattr(engine, "wait", lambda engine=engine: engine._note_stop())  # the pause is reached
             engine._do(engine._job)

@@ -27,8 +27,9 @@ from physhdr.backend.simd import (
     store_transposed,
     total,
 )
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 
 
 def lane_by_lane(function):
@@ -177,6 +178,6 @@ def test_a_failing_job_leaves_the_callers_thread_as_it_was():
 
 def test_denormals_are_left_to_all_but_kernels(tiny_data):
     """SciPy's KDTree never ends where they are flushed: what it takes for the next number above 0 is one."""
-    trainer = Trainer(read_scene(tiny_data), dataclasses.replace(PRESETS["default"], iterations=9))
-    trainer.step()
+    state = begin(read_scene(tiny_data), dataclasses.replace(PRESETS["default"], iterations=9))
+    step(state)
     assert TINY[0] * TINY[1] > 0.0 and torch.tensor(TINY).prod() > 0.0

@@ -11,8 +11,8 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.points import EXACT, STRUCTURE_FROM_MOTION
 from physhdr.backend.scene.scene import Points
 from physhdr.backend.start.initialise import largest_sizes, most_of_stereo
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
 
 
 def test_the_nearest_camera_that_sees_a_point_bounds_it():
@@ -45,7 +45,7 @@ def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, or
     colours = np.zeros((len(positions), 3), np.float32)
     scene = replace(scene, points=Points(positions, colours, origin))
     config = replace(PRESETS["default"], initial_points="file", initial_size_limit=limit)
-    parameters = Trainer(scene, config).method.backbone.parameters
+    parameters = begin(scene, config).method.backbone.parameters
     index = int(np.abs(parameters["means"].detach().numpy() - stray).sum(axis=1).argmin())
     size = float(parameters["log_scales"].detach()[index].exp().max()) / 0.6 * camera.fx / camera.width
     assert size == pytest.approx(limit, rel=1e-4) if is_bounded else size > 0.5
@@ -69,7 +69,7 @@ def test_gaussians_begin_flat_where_points_lie_on_surfaces(tiny_data, preset, so
     assert scene.points is not None
     scene = replace(scene, points=replace(scene.points, origin=origin))
     config = replace(PRESETS[preset], initial_points=source, random_points=200)
-    scales = Trainer(scene, config).method.backbone.parameters["log_scales"]
+    scales = begin(scene, config).method.backbone.parameters["log_scales"]
     ratio = (scales[:, 2] - scales[:, 0]).exp().detach().numpy()
     assert ratio == pytest.approx(np.full(len(ratio), thickness), rel=1e-5)
 

@@ -20,8 +20,9 @@ from physhdr.backend.start import photometry as photometry_module
 from physhdr.backend.start.observations import observations
 from physhdr.backend.start.photometry import Untold, photometry, point_effects
 from physhdr.backend.start.response import point_response
+from physhdr.backend.train.begin import begin
+from physhdr.backend.train.nuisances import Nuisances
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
 
 WIDTH, HEIGHT, FOCAL = 96, 64, 70.0
 DEVIATIONS = 0.2, 0.1
@@ -268,12 +269,12 @@ def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_a
     config = replace(preset, initial_points="file", nuisances=mode)
 
     def error(config):
-        trainer = Trainer(scene, config)
-        x, values = (table.detach().numpy() for table in trainer.method.tone_mapper.sampled())
+        state = begin(scene, config)
+        x, values = (table.detach().numpy() for table in state.method.tone_mapper.sampled())
         light = np.exp(x)
         codes = (light / (1.0 + light)) ** (1.0 / 2.2)
         inside = (codes > 0.12) & (codes < 0.94)
-        return trainer.start_message, np.sqrt(np.mean((values - codes[:, None])[inside] ** 2))
+        return state.start_message, np.sqrt(np.mean((values - codes[:, None])[inside] ** 2))
 
     message, told = error(config)
     assert message == "700 points of the data set, the response as points tell it"
@@ -287,10 +288,10 @@ def test_a_training_whose_points_tell_nothing_says_why(monkeypatch):
     monkeypatch.setattr(photometry_module, "MOST_UNKNOWNS", 100)
     preset = PRESETS["default"]
     config = replace(preset, initial_points="file", nuisances="on")
-    trainer = Trainer(exposed_one_by_one(), config)
+    state = begin(exposed_one_by_one(), config)
     why = "no photometric estimate from the points (30 photos in 30 views are too many to solve for at once)"
-    assert trainer.start_message == f"700 points of the data set, {why}, the response as sRGB has it"
-    assert not trainer.nuisances.values["log_gain"].any()
+    assert state.start_message == f"700 points of the data set, {why}, the response as sRGB has it"
+    assert not state.part(Nuisances).values["log_gain"].any()
 
 
 def test_a_faultless_camera_stays_faultless():

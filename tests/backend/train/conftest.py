@@ -6,9 +6,11 @@ import pytest
 import torch
 
 from physhdr.backend.scene.scene import Scene
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.backend.train.trainer import run
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
 Tensors = dict[str, torch.Tensor]
 
@@ -22,11 +24,11 @@ def whole_and_in_parts(tmp_path: Path) -> Callable[[Scene, TrainConfig, Sequence
         for name, each in (("whole", ()), ("parts", stops)):
             folder = tmp_path / name
             folder.mkdir()
-            trainer = Trainer(scene, config)
+            state = begin(scene, config)
             for stop in (*each, config.iterations):
-                for _ in trainer.run(folder, should_stop=lambda t=trainer, s=stop: t.iteration >= s):
+                for _ in run(state, folder, should_stop=lambda t=state, s=stop: t.iteration >= s):
                     pass
-                trainer = Trainer(scene, config, resumed=folder)
+                state = resume(folder, scene, config)
             found.append(load_checkpoint(folder / CHECKPOINT_FILE)[0])
         return found
 

@@ -11,10 +11,13 @@ from physhdr.backend.cli import main
 from physhdr.backend.model.tone_mapper import ToneMapper
 from physhdr.backend.runs.views import write_views
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.calibration import read_calibration
 from physhdr.backend.train.config import write_config
+from physhdr.backend.train.nuisances import Nuisances
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.saver import save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 
 SHORT = dataclasses.replace(PRESETS["default"], iterations=12, nuisances="on")
@@ -24,16 +27,16 @@ SHORT = dataclasses.replace(PRESETS["default"], iterations=12, nuisances="on")
 def calibrated(tiny_data, tmp_path_factory):
     """A trained run's trainer, and the file that ``physhdr calibrate`` wrote of it."""
     folder = tmp_path_factory.mktemp("calibrated")
-    trainer = Trainer(read_scene(tiny_data), SHORT)
+    state = begin(read_scene(tiny_data), SHORT)
     with torch.no_grad():
-        trainer.nuisances.values["vignetting"].copy_(torch.tensor([[0.1, 0.2, 0.3]]))
-        trainer.method.tone_mapper.w2 += 0.01  # as if it had learned
+        state.part(Nuisances).values["vignetting"].copy_(torch.tensor([[0.1, 0.2, 0.3]]))
+        state.method.tone_mapper.w2 += 0.01  # as if it had learned
     write_config(folder / "config.json", SHORT, tiny_data, "default")
-    trainer.views_digest = write_views(folder, trainer.scene)
-    trainer.save(folder)
+    state.views_digest = write_views(folder, state.plan.seen.scene)
+    save(state, folder)
     path = folder / "camera.json"
     assert main(["calibrate", str(folder), "--out", str(path)]) == 0
-    return trainer, path
+    return state, path
 
 
 def curve(mapper: ToneMapper) -> torch.Tensor:
@@ -46,10 +49,10 @@ def test_response_and_lens_come_back_whatever_point_of_the_response_was_known(ca
     assert anchored.anchor is not None
     config = dataclasses.replace(SHORT, calibration=str(path))
     scene = dataclasses.replace(read_scene(tiny_data), info={}, response_anchor=None)
-    second = Trainer(scene, config)
+    second = begin(scene, config)
     assert second.method.tone_mapper.anchor is None
     assert torch.allclose(curve(second.method.tone_mapper), curve(anchored), atol=1e-5)
-    assert second.nuisances.values["vignetting"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    assert second.part(Nuisances).values["vignetting"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
     rows = json.loads(path.read_text())["curve"]
     x, values = anchored.sampled()
     nearest = (x - rows[20][0]).abs().argmin()
@@ -63,24 +66,24 @@ def test_they_stay_as_they_are_also_when_the_training_is_resumed_without_the_fil
     copied = tmp_path / "camera.json"
     copied.write_bytes(calibrated[1].read_bytes())
     config = dataclasses.replace(SHORT, calibration=str(copied))
-    trainer = Trainer(scene, config)
-    before = curve(trainer.method.tone_mapper).clone()
+    state = begin(scene, config)
+    before = curve(state.method.tone_mapper).clone()
     for _ in range(3):
-        trainer.step()
-    trainer.save(tmp_path)
+        step(state)
+    save(state, tmp_path)
     copied.unlink()
-    resumed = Trainer(scene, config, resumed=tmp_path)
+    resumed = resume(tmp_path, scene, config)
     for _ in range(3):
-        resumed.step()
+        step(resumed)
     assert torch.equal(curve(resumed.method.tone_mapper), before)
-    assert resumed.nuisances.values["vignetting"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
-    assert resumed.nuisances.values["log_gain"].abs().max() > 0.0  # what is the photos' own goes on
+    assert resumed.part(Nuisances).values["vignetting"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    assert resumed.part(Nuisances).values["log_gain"].abs().max() > 0.0  # what is the photos' own goes on
 
 
 def test_what_is_no_calibration_of_this_camera_is_refused(calibrated, tiny_data, tmp_path):
     scene, written = read_scene(tiny_data), json.loads(calibrated[1].read_text())
     with pytest.raises(FileMissingError):
-        Trainer(scene, dataclasses.replace(SHORT, calibration=str(tmp_path / "none.json")))
+        begin(scene, dataclasses.replace(SHORT, calibration=str(tmp_path / "none.json")))
     path = tmp_path / "camera.json"
     for change, why in (
         ({"format": "other"}, "not of the format"),
@@ -94,10 +97,10 @@ def test_what_is_no_calibration_of_this_camera_is_refused(calibrated, tiny_data,
     del written["response"]["slope"]
     path.write_text(json.dumps(written))
     with pytest.raises(DataMismatchError, match="another kind of response curve"):
-        Trainer(scene, dataclasses.replace(SHORT, calibration=str(path)))
+        begin(scene, dataclasses.replace(SHORT, calibration=str(path)))
     path.write_text(json.dumps(written | {"response": None}))
     with pytest.raises(DataMismatchError, match="whose response is known"):
-        Trainer(scene, dataclasses.replace(SHORT, calibration=str(path)))
+        begin(scene, dataclasses.replace(SHORT, calibration=str(path)))
 
 
 @pytest.mark.parametrize(
@@ -111,12 +114,12 @@ def test_vignetting_that_would_be_dropped_is_refused(config, hint, calibrated, t
     scene, written = read_scene(tiny_data), json.loads(calibrated[1].read_text())
     path = tmp_path / "camera.json"
     off = dataclasses.replace(config, iterations=12, calibration=str(path), nuisances="off")
-    state = Trainer(scene, dataclasses.replace(off, calibration=None)).method.tone_mapper.state_dict()
+    state = begin(scene, dataclasses.replace(off, calibration=None)).method.tone_mapper.state_dict()
     written["response"] = {name: value.tolist() for name, value in state.items()}
     path.write_text(json.dumps(written))
     with pytest.raises(BadValueError, match="vignetting") as refused:
-        Trainer(scene, off)
+        begin(scene, off)
     assert hint in refused.value.hint
     for nothing in ({"vignetting": None, "reach": None}, {"vignetting": [0.0, 0.0, 0.0]}):
         path.write_text(json.dumps(written | nothing))
-        assert Trainer(scene, off).nuisances is None
+        assert begin(scene, off).part(Nuisances) is None

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from physhdr.backend.train.trainer import step
+
 TOOLS = Path(__file__).resolve().parents[3] / "tools"
 SIZE, GAUSSIANS, ITERATIONS, SEEDS = 24, 80, 300, 3
 
@@ -60,11 +62,11 @@ def test_a_training_comes_out_as_good(sides, preset):
     def trained(side, seed: int) -> float:
         config = dataclasses.replace(truth.short(preset, ITERATIONS), seed=seed)
         with side.computing():
-            trainer = truth.TrainerOn(scene, config, side)
-            before = truth.psnr_of_test_views(trainer)
+            state = truth.begin_on(scene, config, side)
+            before = truth.psnr_of_test_views(state)
             for _ in range(ITERATIONS):
-                trainer.step()
-            after = truth.psnr_of_test_views(trainer)
+                step(state)
+            after = truth.psnr_of_test_views(state)
         assert after > before + 3.0  # it learns
         return after
 

@@ -9,10 +9,14 @@ import torch
 
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.clearance import FEWEST, NEAREST, clearances, floating
+from physhdr.backend.train.growing import Growing
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.backend.train.saver import save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import FileDamagedError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
 
 def camera():
@@ -54,27 +58,27 @@ def short(**changes):
 def test_a_floater_is_removed_where_it_is_wanted(tiny_data):
     scene = read_scene(tiny_data)
     for setting, stays in (("on", False), ("off", True), ("auto", True)):  # auto: these are renders
-        trainer = Trainer(scene, short(clear_cameras=setting))
+        state = begin(scene, short(clear_cameras=setting))
         before = scene.train[0].camera
         with torch.no_grad():
             depths = torch.tensor([0.05, 0.1, 0.15])[:, None]
             axis = torch.from_numpy(-before.camera_to_world[:3, 2]).float()
-            trainer.method.gaussians.means[:3] = torch.from_numpy(before.position).float() + depths * axis
+            state.method.gaussians.means[:3] = torch.from_numpy(before.position).float() + depths * axis
         for _ in range(4):
-            trainer.step()
-        distance = (trainer.method.gaussians.means - torch.from_numpy(before.position)).norm(dim=1)
+            step(state)
+        distance = (state.method.gaussians.means - torch.from_numpy(before.position)).norm(dim=1)
         assert bool((distance < 0.3).any()) == stays
 
 
 def test_a_resumed_training_knows_what_is_near(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short(clear_cameras="on", far_shell="on")
-    trainer = Trainer(scene, config)
-    assert "far away where these leave pictures uncovered" in trainer.start_message
-    trainer.step()
-    trainer.save(tmp_path)
-    resumed = Trainer(scene, config, resumed=tmp_path)
-    assert torch.equal(resumed.growth.clearance, trainer.growth.clearance)
+    state = begin(scene, config)
+    assert "far away where these leave pictures uncovered" in state.start_message
+    step(state)
+    save(state, tmp_path)
+    resumed = resume(tmp_path, scene, config)
+    assert torch.equal(resumed.part(Growing).growth.clearance, state.part(Growing).growth.clearance)
     fewer = dataclasses.replace(scene, train=scene.train[:-1])
-    with pytest.raises(FileDamagedError, match="not one a view"):
-        Trainer(fewer, config, resumed=tmp_path)
+    with pytest.raises(FileDamagedError, match="clearance is"):
+        resume(tmp_path, fewer, config)
     assert (tmp_path / CHECKPOINT_FILE).is_file()

@@ -14,9 +14,11 @@ import torch
 
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train import duration
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.duration import Cost, Duration, Plan, about, time_training
+from physhdr.backend.train.nuisances import Nuisances
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
 
 PLAN = Plan(iterations=1000, first=100, most=500, grows_from=100, grows_until=600, half_until=300)
 #: Made-up seconds of an iteration: of itself, of a pixel, of a Gaussian; and of a picture's decoding.
@@ -24,28 +26,28 @@ OF_ITSELF, OF_PIXEL, OF_GAUSSIAN, OF_DECODING = 0.01, 3e-6, 2e-4, 0.5
 
 
 class MadeUpClock:
-    """Stands still but for iterations of a trainer and pictures that it decodes."""
+    """Stands still but for iterations of a state and pictures that it decodes."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now, self.seen, self.steps = 0.0, set(), 0
-        step, batch = Trainer.step, Trainer.batch
+        step, batch = duration.step, State.batch
 
-        def seeing(trainer, iteration):
-            made = batch(trainer, iteration)
-            for k in trainer.draw(iteration)[1]:
-                if (where := (trainer.draw(iteration)[0].name, k)) not in self.seen:
+        def seeing(state, iteration):
+            made = batch(state, iteration)
+            for k in state.draw(iteration)[1]:
+                if (where := (state.draw(iteration)[0].name, k)) not in self.seen:
                     self.seen.add(where)
                     self.now += OF_DECODING
             return made
 
-        def stepping(trainer):
-            camera = trainer.batch(trainer.iteration).camera
-            self.now += iteration_seconds(camera.width * camera.height, trainer.method.size)
+        def stepping(state):
+            camera = state.batch(state.iteration).camera
+            self.now += iteration_seconds(camera.width * camera.height, state.method.size)
             self.steps += 1
-            return step(trainer)
+            return step(state)
 
-        monkeypatch.setattr(Trainer, "batch", seeing)
-        monkeypatch.setattr(Trainer, "step", stepping)
+        monkeypatch.setattr(State, "batch", seeing)
+        monkeypatch.setattr(duration, "step", stepping)
 
     def __call__(self) -> float:
         return self.now
@@ -64,13 +66,13 @@ def short(preset: str, **changes):
 
 def test_the_sum_over_a_training_whose_cost_is_known(monkeypatch, tiny_data):
     scene, clock = read_scene(tiny_data), MadeUpClock(monkeypatch)
-    trainer = Trainer(scene, short("default", half_size_until=0.0))
-    told = time_training(trainer, clock)
+    state = begin(scene, short("default", half_size_until=0.0))
+    told = time_training(state, clock)
     pixels = scene.train[0].camera.width * scene.train[0].camera.height
     # 200 Gaussians become 600 from iteration 100 to 600.
     counts = [min(max(200 + 400 * (i - 100) / 500, 200), 600) for i in range(1000)]
     expected = duration.BESIDE * sum(iteration_seconds(pixels, count) for count in counts)
-    pictures = sum(len(places) for places in trainer.exposures)
+    pictures = sum(len(places) for places in state.data.exposures)
     assert told.seconds == pytest.approx(expected + OF_DECODING * pictures, rel=1e-6)
     assert clock.steps == 2 * (duration.TIMED + 1)  # as many as there are at first, and in the end
 
@@ -92,16 +94,16 @@ def test_a_training_that_goes_on_takes_what_is_left():
 
 def test_a_short_training_is_not_timed(tiny_data):
     """Eight iterations would be more than a fiftieth of it."""
-    trainer = Trainer(read_scene(tiny_data), dataclasses.replace(short("default"), iterations=399))
-    assert time_training(trainer, lambda: pytest.fail("timed")) is None
+    state = begin(read_scene(tiny_data), dataclasses.replace(short("default"), iterations=399))
+    assert time_training(state, lambda: pytest.fail("timed")) is None
 
 
-def state(trainer: Trainer) -> list[torch.Tensor]:
+def numbers_of(state: State) -> list[torch.Tensor]:
     """All numbers of a training, and torch's random state."""
-    groups = trainer.method.parameter_groups().values()
+    groups = state.method.parameter_groups().values()
     numbers = [tensor.detach().clone() for group in groups for tensor in group]
-    photos = {} if trainer.nuisances is None else trainer.nuisances.tensors()
-    optimiser = trainer.optimiser.state_tensors()
+    photos = {} if state.part(Nuisances) is None else state.part(Nuisances).tensors()
+    optimiser = state.optimiser.state_tensors()
     return [*numbers, *(t.clone() for t in (*optimiser.values(), *photos.values())), torch.get_rng_state()]
 
 
@@ -127,16 +129,16 @@ def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, t
         nuisances=nuisances,
     )
     for timed in (False, True):
-        trainer = Trainer(scene, config)
+        state = begin(scene, config)
         if timed:
-            before = state(trainer)
-            assert time_training(trainer) is not None
-            assert all(map(torch.equal, before, state(trainer))) and trainer.iteration == 0
-        for step in range(config.iterations):
-            if timed and step == 6:
-                assert time_training(trainer) is not None  # as where it is resumed
-            trainer.step()
-        ends.append(state(trainer))
+            before = numbers_of(state)
+            assert time_training(state) is not None
+            assert all(map(torch.equal, before, numbers_of(state))) and state.iteration == 0
+        for iteration in range(config.iterations):
+            if timed and iteration == 6:
+                assert time_training(state) is not None  # as where it is resumed
+            duration.step(state)
+        ends.append(numbers_of(state))
     assert len(ends[0]) == len(ends[1]) and all(map(torch.equal, *ends))
 
 
@@ -145,16 +147,16 @@ def test_the_copy_is_gone_when_the_training_begins(preset, tiny_data, monkeypatc
     monkeypatch.setattr(duration, "SHARE", math.inf)
     copies, copy = [], duration._copy
 
-    def copied(trainer):
-        made = copy(trainer)
+    def copied(state):
+        made = copy(state)
         copies.append(weakref.ref(made))
         return made
 
     monkeypatch.setattr(duration, "_copy", copied)
-    trainer = Trainer(read_scene(tiny_data), dataclasses.replace(short(preset), iterations=12))
+    state = begin(read_scene(tiny_data), dataclasses.replace(short(preset), iterations=12))
     gc.disable()  # not by chance
     try:
-        assert time_training(trainer) is not None
+        assert time_training(state) is not None
         assert [each() for each in copies] == [None]
     finally:
         gc.enable()

@@ -9,9 +9,10 @@ import torch
 from physhdr.backend.methods.base import Recording
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.half_size import half_sized, halved
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 
 
 def test_halving_averages_blocks_and_keeps_the_rays():
@@ -43,15 +44,15 @@ def test_odd_sizes_are_covered_and_small_ones_left_alone():
 def test_only_the_start_of_training_is_half_sized(tiny_data, monkeypatch):
     monkeypatch.setattr("physhdr.backend.train.half_size.SMALLEST_SIDE", 16)  # the tiny scene has 32 × 32
     config = dataclasses.replace(PRESETS["default"], iterations=10, half_size_until=0.3)
-    trainer = Trainer(read_scene(tiny_data), config)
+    state = begin(read_scene(tiny_data), config)
     widths = []
-    draw = trainer.method.draw
+    draw = state.method.draw
 
     def watched(camera, *arguments, **named):
         widths.append(camera.width)
         return draw(camera, *arguments, **named)
 
-    monkeypatch.setattr(trainer.method, "draw", watched)
+    monkeypatch.setattr(state.method, "draw", watched)
     for _ in range(5):
-        trainer.step()
+        step(state)
     assert widths == [16, 16, 16, 32, 32]

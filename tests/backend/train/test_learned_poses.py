@@ -12,9 +12,11 @@ from physhdr.backend.model.gaussians import Gaussians
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.learned_poses import LearnedPoses, moved, twist_gradient
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.saver import save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 
@@ -165,15 +167,15 @@ def test_what_a_training_finds_of_wrong_poses_is_nearer_to_the_true_ones(larger_
         for view, error, pixel in zip(scene.train, errors, true.pixel, strict=True)
     ]
     config = dataclasses.replace(PRESETS["default"], iterations=400, poses="on", initial_points="auto")
-    trainer = Trainer(dataclasses.replace(scene, train=wrong, lit=[]), config)
-    while trainer.iteration < config.iterations:
-        trainer.step()
+    state = begin(dataclasses.replace(scene, train=wrong, lit=[]), config)
+    while state.iteration < config.iterations:
+        step(state)
 
     def shown(twist):
         """How far the middle of each view is from where it should be, pixels."""
         return np.hypot(twist[:, 3] + twist[:, 1], twist[:, 4] - twist[:, 0])
 
-    left = shown(errors + trainer.poses.twist)
+    left = shown(errors + state.part(LearnedPoses).twist)
     assert np.sqrt((left**2).mean()) < 0.5 * np.sqrt((shown(errors) ** 2).mean())
 
 
@@ -186,30 +188,30 @@ def test_a_resumed_training_is_bit_identical(tiny_data, whole_and_in_parts):
 def test_renders_are_taken_from_where_they_say_and_photographs_are_asked(tiny_data):
     scene = read_scene(tiny_data)
     photographs = dataclasses.replace(scene, info={}, response_anchor=None)
-    assert Trainer(scene, short("auto")).poses is None
-    assert Trainer(photographs, short("auto")).poses is not None
-    assert Trainer(photographs, short("off")).poses is None
-    assert Trainer(photographs, short("auto", preset="baseline")).poses is not None
+    assert begin(scene, short("auto")).part(LearnedPoses) is None
+    assert begin(photographs, short("auto")).part(LearnedPoses) is not None
+    assert begin(photographs, short("off")).part(LearnedPoses) is None
+    assert begin(photographs, short("auto", preset="baseline")).part(LearnedPoses) is not None
     published = dataclasses.replace(PRESETS["gausshdr"], iterations=24)
-    assert Trainer(photographs, published).poses is None
+    assert begin(photographs, published).part(LearnedPoses) is None
 
 
 def test_anchors_tell_of_poses_too(tiny_data):
     scene, preset = read_scene(tiny_data), PRESETS["default-scaffold"]
-    trainer = Trainer(scene, dataclasses.replace(preset, iterations=20, poses="on"))
+    state = begin(scene, dataclasses.replace(preset, iterations=20, poses="on"))
     for _ in range(20):
-        trainer.step()
-    assert (np.abs(trainer.poses.twist).max(axis=1) > 0.0).all()
+        step(state)
+    assert (np.abs(state.part(LearnedPoses).twist).max(axis=1) > 0.0).all()
 
 
 def test_what_cannot_be_is_refused(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short()
-    trainer = Trainer(scene, config)
-    trainer.step()
-    tensors = trainer.poses.tensors
-    trainer.poses.tensors = lambda: {k: v for k, v in tensors().items() if k != "twist"}
-    trainer.save(tmp_path)
+    state = begin(scene, config)
+    step(state)
+    tensors = state.part(LearnedPoses).tensors
+    state.part(LearnedPoses).tensors = lambda: {k: v for k, v in tensors().items() if k != "twist"}
+    save(state, tmp_path)
     with pytest.raises(FileDamagedError, match=r"it has no poses\.twist"):
-        Trainer(scene, config, resumed=tmp_path)
+        resume(tmp_path, scene, config)
     with pytest.raises(BadValueError, match="hdr-nerf cannot learn poses"):
-        Trainer(scene, dataclasses.replace(PRESETS["hdr-nerf-small"], poses="on"))
+        begin(scene, dataclasses.replace(PRESETS["hdr-nerf-small"], poses="on"))

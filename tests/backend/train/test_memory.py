@@ -18,6 +18,7 @@ from physhdr.backend.scene.scene import PictureCache
 from physhdr.backend.train import memory
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.memory import check_memory, estimate, sizes_of
+from physhdr.backend.train.plan import planned
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.settings import assigned, with_settings
 from physhdr.backend.train.targets import TARGET_BYTES
@@ -30,8 +31,10 @@ import dataclasses, json, sys
 from pathlib import Path
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.memory import estimate, sizes_of
+from physhdr.backend.train.plan import planned
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.begin import begin
+from physhdr.backend.train.trainer import step
 
 preset, data, count = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
 config = PRESETS[preset]
@@ -40,12 +43,12 @@ config = dataclasses.replace(
     backbone=dataclasses.replace(config.backbone, start=5, every=5, stop=0.9, budget=count),
 )
 scene = read_scene(data)
-trainer = Trainer(scene, config)
+state = begin(scene, config)
 for _ in range(config.iterations):
-    trainer.step()
+    step(state)
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
-needed = estimate(sizes_of(scene, config))
-print(json.dumps([needed.total, int(peak.split()[1]) * 1024, trainer.method.size]))
+needed = estimate(sizes_of(planned(scene, config)))
+print(json.dumps([needed.total, int(peak.split()[1]) * 1024, state.method.size]))
 """
 
 
@@ -83,7 +86,7 @@ def with_room(monkeypatch, megabytes: float, bound: str = "machine") -> None:
 def test_a_line_says_what_a_training_takes_and_what_is_free(monkeypatch, scene):
     with_room(monkeypatch, 21_000)
     told = []
-    needed = check_memory(scene, PRESETS["default"], CPU, told.append)
+    needed = check_memory(planned(scene, PRESETS["default"]), CPU, told.append)
     assert len(told) == 1
     assert re.fullmatch(
         r"training will take about 0\.\d GB: less than 0\.1 for pictures, 0\.2 for 60,000 Gaussians, "
@@ -106,13 +109,13 @@ def test_what_cannot_fit_is_refused_with_options_of_which_each_makes_it_fit(monk
     config = dataclasses.replace(config, backbone=dataclasses.replace(config.backbone, budget=1_000_000))
     with_room(monkeypatch, 1500)
     with pytest.raises(NotEnoughMemoryError, match=r"1,000,000 Gaussians.*1\.5 GB are free") as refused:
-        check_memory(read_scene(tiny_data), config, CPU, lambda _: None)
+        check_memory(planned(read_scene(tiny_data), config), CPU, lambda _: None)
     assert refused.value.code == "not_enough_memory" and "Close other programs" in refused.value.hint
     found = settings_in(refused.value)
     assert found
     for assignment in found:
         changed = with_settings(config, assigned(config, [assignment]))
-        check_memory(read_scene(tiny_data, changed.downscale), changed, CPU, lambda _: None)
+        check_memory(planned(read_scene(tiny_data, changed.downscale), changed), CPU, lambda _: None)
 
 
 def test_large_pictures_are_refused_with_the_size_that_fits(monkeypatch, tiny_data):
@@ -121,7 +124,7 @@ def test_large_pictures_are_refused_with_the_size_that_fits(monkeypatch, tiny_da
     scene = dataclasses.replace(scene, train=large, lit=[])
     with_room(monkeypatch, 6000, "container")
     with pytest.raises(NotEnoughMemoryError, match=r"the container's limit leaves 6\.0 GB") as refused:
-        check_memory(scene, PRESETS["default"], CPU, lambda _: None)
+        check_memory(planned(scene, PRESETS["default"]), CPU, lambda _: None)
     assert "downscale=2" in settings_in(refused.value) and "container's memory" in refused.value.hint
 
 
@@ -131,7 +134,9 @@ def test_large_pictures_are_refused_with_the_size_that_fits(monkeypatch, tiny_da
 def test_pictures_are_kept_in_a_quarter_of_the_room(monkeypatch, megabytes, kept, tiny_data):
     with_room(monkeypatch, megabytes)
     assert picture_room() == kept == PictureCache().budget
-    sizes = dataclasses.replace(sizes_of(read_scene(tiny_data), PRESETS["default"]), picture_bytes=1 << 40)
+    sizes = dataclasses.replace(
+        sizes_of(planned(read_scene(tiny_data), PRESETS["default"])), picture_bytes=1 << 40
+    )
     assert estimate(dataclasses.replace(sizes, merges=False)).pictures == kept + TARGET_BYTES
     assert estimate(dataclasses.replace(sizes, merges=True)).pictures == 2 * kept + TARGET_BYTES
     monkeypatch.setattr(rooms, "room", lambda: Room(10**12, "machine"))
@@ -141,21 +146,21 @@ def test_pictures_are_kept_in_a_quarter_of_the_room(monkeypatch, megabytes, kept
 def test_of_a_run_that_goes_on_no_option_is_named(monkeypatch, scene):
     with_room(monkeypatch, 600, "addresses")
     with pytest.raises(NotEnoughMemoryError, match=r"ulimit -v leaves 0\.6 GB") as refused:
-        check_memory(scene, PRESETS["default"], CPU, lambda _: None, resumed=True)
+        check_memory(planned(scene, PRESETS["default"]), CPU, lambda _: None, resumed=True)
     assert not settings_in(refused.value) and "ulimit -v unlimited" in refused.value.hint
 
 
 def test_growth_without_a_bound_is_told_as_a_guess(monkeypatch, scene):
     with_room(monkeypatch, 90_000)
     told = []
-    check_memory(scene, PRESETS["paper"], CPU, told.append)
+    check_memory(planned(scene, PRESETS["paper"]), CPU, told.append)
     assert "for perhaps" in told[0]
 
 
 def test_a_method_without_gaussians_has_an_estimate(monkeypatch, scene):
     with_room(monkeypatch, 21_000)
     told = []
-    check_memory(scene, PRESETS["hdr-nerf"], CPU, told.append)
+    check_memory(planned(scene, PRESETS["hdr-nerf"]), CPU, told.append)
     assert "Gaussians" not in told[0]
 
 
@@ -163,7 +168,7 @@ def test_asking_changes_no_random_number(scene):
     torch.manual_seed(3)
     expected = torch.rand(4)
     torch.manual_seed(3)
-    estimate(sizes_of(scene, PRESETS["paper"]))
+    estimate(sizes_of(planned(scene, PRESETS["paper"])))
     assert torch.equal(torch.rand(4), expected)
 
 
@@ -172,7 +177,7 @@ def test_on_a_card_its_own_memory_counts_beside_the_machine_s(monkeypatch, scene
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _: (300_000_000, 8_000_000_000))
     monkeypatch.setattr(torch.cuda, "memory_reserved", lambda _: 0)
     with pytest.raises(NotEnoughMemoryError, match=r"0\.3 GB are free on the card") as refused:
-        check_memory(scene, PRESETS["default"], torch.device("cuda"), lambda _: None)
+        check_memory(planned(scene, PRESETS["default"]), torch.device("cuda"), lambda _: None)
     assert "--device cpu" in refused.value.hint
 
 
@@ -185,7 +190,7 @@ def test_threads_that_seek_the_first_points_take_the_machine_s_memory_and_no_car
     def told(cores: int) -> tuple[int, int]:
         monkeypatch.setattr(memory, "cores", lambda: cores)
         needed = [
-            check_memory(scene, PRESETS["default"], torch.device(kind), lambda _: None)
+            check_memory(planned(scene, PRESETS["default"]), torch.device(kind), lambda _: None)
             for kind in ("cuda", "cpu")
         ]
         return needed[0].total, needed[1].total
@@ -196,7 +201,7 @@ def test_threads_that_seek_the_first_points_take_the_machine_s_memory_and_no_car
     with_room(monkeypatch, 600)
     monkeypatch.setattr(memory, "cores", lambda: 128)
     with pytest.raises(NotEnoughMemoryError, match=r"about \d\.\d GB; 0\.6 GB are free\n"):
-        check_memory(scene, PRESETS["default"], torch.device("cuda"), lambda _: None)
+        check_memory(planned(scene, PRESETS["default"]), torch.device("cuda"), lambda _: None)
 
 
 def test_developed_pictures_have_16_bits_and_a_mask_has_8_of_a_pixel(scene):
@@ -207,7 +212,7 @@ def test_developed_pictures_have_16_bits_and_a_mask_has_8_of_a_pixel(scene):
             )
             for view in scene.train
         ]
-        return sizes_of(dataclasses.replace(scene, train=views, lit=[]), TrainConfig()).picture_bytes
+        return sizes_of(planned(dataclasses.replace(scene, train=views, lit=[]), TrainConfig())).picture_bytes
 
     of_8_bits = with_sources()
     assert with_sources(encoding=SRGB) == 2 * of_8_bits

@@ -13,8 +13,9 @@ from PIL import Image
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import CAMERA, SRGB, Encoding
 from physhdr.backend.start.merged_brackets import MergedBrackets
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
 
 
 @pytest.fixture
@@ -29,39 +30,39 @@ def noisy(tiny_data, tmp_path) -> Path:
     return root
 
 
-def trainer(root: Path, preset: str = "default", **settings) -> Trainer:
-    return Trainer(read_scene(root), dataclasses.replace(PRESETS[preset], iterations=20, **settings))
+def begun(root: Path, preset: str = "default", **settings) -> State:
+    return begin(read_scene(root), dataclasses.replace(PRESETS[preset], iterations=20, **settings))
 
 
 def test_auto_merges_noisy_brackets_alone(tiny_data, noisy):
-    assert trainer(tiny_data).merged is None
-    merging = trainer(noisy)
-    assert merging.merged is not None and 4.0 < merging.merged.worst < 16.0
+    assert begun(tiny_data).data.merged is None
+    merging = begun(noisy)
+    assert merging.data.merged is not None and 4.0 < merging.data.merged.worst < 16.0
     assert "brackets merged" in merging.start_message
 
 
 def test_published_methods_see_what_the_camera_took(noisy):
     for preset in ("baseline", "gausshdr-short", "paper-short"):
-        assert trainer(noisy, preset).merged is None
+        assert begun(noisy, preset).data.merged is None
 
 
 def test_one_exposure_a_view_is_no_bracket(noisy):
-    assert trainer(noisy, exposure_mode="exp1").merged is None
+    assert begun(noisy, exposure_mode="exp1").data.merged is None
 
 
 def test_pictures_are_nearer_to_those_without_noise(tiny_data, noisy):
     taken, merged, clean = (
-        trainer(noisy, merged_brackets="off"),
-        trainer(noisy, merged_brackets="on"),
-        trainer(tiny_data, merged_brackets="off"),
+        begun(noisy, merged_brackets="off"),
+        begun(noisy, merged_brackets="on"),
+        begun(tiny_data, merged_brackets="off"),
     )
 
-    def errors(training: Trainer) -> float:
+    def errors(training: State) -> float:
         pairs = zip(training.views, clean.views, strict=True)
         return float(
             np.mean(
                 [
-                    (training.picture(a, k) - clean.picture(b, k)).square().mean().item()
+                    (training.data.picture(a, k) - clean.data.picture(b, k)).square().mean().item()
                     for a, b in pairs
                     for k in (0, 2, 4)
                 ]
@@ -69,8 +70,8 @@ def test_pictures_are_nearer_to_those_without_noise(tiny_data, noisy):
         )
 
     assert errors(merged) < 0.7 * errors(taken)
-    picture = merged.recording(merged.views[0], 2).picture
-    assert torch.equal(picture, merged.picture(merged.views[0], 2)) and picture.max() <= 1.0
+    picture = merged.data.recording(merged.views[0], 2).picture
+    assert torch.equal(picture, merged.data.picture(merged.views[0], 2)) and picture.max() <= 1.0
 
 
 def test_what_clips_under_a_known_response_stays_white(noisy):

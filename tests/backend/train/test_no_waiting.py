@@ -18,8 +18,11 @@ from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.backend.rasterize import Rasterization
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train import densify
+from physhdr.backend.train.begin import begin
+from physhdr.backend.train.growing import Growing
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.state import State
+from physhdr.backend.train.trainer import step
 
 aten = torch.ops.aten
 #: Anchors draw only what is opaque, which a card must tell the host: only 3DGS's backbone never waits.
@@ -79,28 +82,28 @@ def draw_nothing(means, quaternions, scales, opacities, colours, camera, screen_
 def trainer_elsewhere(monkeypatch):
     """Makes a trainer whose tensors are on the meta device, one iteration before its last."""
 
-    def make(preset: str, data: Path) -> Trainer:
+    def make(preset: str, data: Path) -> State:
         config = PRESETS[preset]
         tone_mapper = dataclasses.replace(config.method.tone_mapper, warm_start_steps=0)
         method = dataclasses.replace(config.method, tone_mapper=tone_mapper)
         config = dataclasses.replace(config, iterations=40, sh_degree_every=2, method=method)
-        trainer = Trainer(read_scene(data), config)
+        state = begin(read_scene(data), config)
         device = torch.device("meta")
-        trainer.device = trainer.pictures.device = device
-        trainer.method.to_device(device)
-        trainer.growth.statistics = densify.DensifyState.empty(trainer.method.gaussians)
+        state.device = state.data.pictures.device = device
+        state.method.to_device(device)
+        state.part(Growing).growth.statistics = densify.DensifyState.empty(state.method.gaussians)
         monkeypatch.setattr(rasterizers, "_implementation", lambda name, means: draw_nothing)
         # Torch's fused Adam does not know this device; on CUDA it keeps its step count there.
-        monkeypatch.setattr(trainer.optimiser, "step", lambda iteration: None)
-        for view in trainer.views:  # at first use cameras and pictures are copied
+        monkeypatch.setattr(state.optimiser, "step", lambda iteration: None)
+        for view in state.views:  # at first use cameras and pictures are copied
             for k in range(len(view.exposures)):
-                trainer.pictures.get(view, k)
+                state.data.pictures.get(view, k)
         with torch.no_grad():
-            for view in trainer.views:
-                trainer.method.draw(view.camera, tuple(1.0 for _ in trainer.lights), 1.0, watch=True)
-        trainer.step()
-        trainer.iteration = 19
-        return trainer
+            for view in state.views:
+                state.method.draw(view.camera, tuple(1.0 for _ in state.plan.seen.lights), 1.0, watch=True)
+        step(state)
+        state.iteration = 19
+        return state
 
     return make
 
@@ -109,19 +112,19 @@ def trainer_elsewhere(monkeypatch):
     ("preset", "data"), [*((p, "tiny_data") for p in OURS), ("default", "two_lights_data")]
 )
 def test_a_step_neither_waits_nor_copies(preset, data, request, trainer_elsewhere):
-    trainer = trainer_elsewhere(preset, request.getfixturevalue(data))
-    gaussians = trainer.method.gaussians
+    state = trainer_elsewhere(preset, request.getfixturevalue(data))
+    gaussians = state.method.gaussians
     for parameter in gaussians.parameters.values():
         parameter.grad = None
-    lit = trainer.scene.lit[0]
+    lit = state.plan.seen.scene.lit[0]
     if data == "two_lights_data":  # an iteration whose levels are not all 1
-        trainer.views, trainer.exposures = [lit], [(0,)]
+        state.data.views, state.data.exposures = [lit], [(0,)]
     with RefuseCopies(), RefuseNumbers():
-        terms = trainer.step()
+        terms = step(state)
     assert all(term.device.type == "meta" for term in terms.values())
     learned = [name for name, parameter in gaussians.parameters.items() if parameter.grad is not None]
     assert {"means", "opacity_logits", "reflectance_dc", "reflectance_rest"} <= set(learned)
-    assert ("light_share_logits" in learned) == trainer.method.config.has_light_share
+    assert ("light_share_logits" in learned) == state.method.config.has_light_share
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,12 @@ import torch
 from physhdr.backend.methods.base import Recording
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.half_size import half_sized
 from physhdr.backend.train.nuisances import Nuisances, telling_share
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.saver import save
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 
@@ -141,34 +143,34 @@ def test_a_resumed_training_is_bit_identical(tiny_data, whole_and_in_parts):
 def test_renders_are_trained_without_and_photographs_with(tiny_data):
     scene = read_scene(tiny_data)
     auto = short(mode="auto")
-    assert not scene.photographs and Trainer(scene, auto).nuisances is None
+    assert not scene.photographs and begin(scene, auto).part(Nuisances) is None
     photographs = dataclasses.replace(scene, info={}, response_anchor=None)
-    assert photographs.photographs and Trainer(photographs, auto).nuisances is not None
-    assert Trainer(photographs, short(mode="off")).nuisances is None
+    assert photographs.photographs and begin(photographs, auto).part(Nuisances) is not None
+    assert begin(photographs, short(mode="off")).part(Nuisances) is None
 
 
 def test_a_checkpoint_that_lacks_a_part_is_refused(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short()
-    trainer = Trainer(scene, config)
-    trainer.step()
-    trainer.nuisances.values.pop("log_balance")
-    trainer.save(tmp_path)
+    state = begin(scene, config)
+    step(state)
+    state.part(Nuisances).values.pop("log_balance")
+    save(state, tmp_path)
     with pytest.raises(FileDamagedError, match=r"it has no nuisances\.log_balance"):
-        Trainer(scene, config, resumed=tmp_path)
+        resume(tmp_path, scene, config)
 
 
 def test_methods_that_know_no_effects_refuse_it(tiny_data):
     with pytest.raises(BadValueError, match="gausshdr knows of no gain"):
-        Trainer(read_scene(tiny_data), short("gausshdr"))
+        begin(read_scene(tiny_data), short("gausshdr"))
 
 
 def test_what_was_learned_is_left_out_when_drawing(tiny_data):
     scene = read_scene(tiny_data)
-    trainer = Trainer(scene, short())
-    trainer.step()
-    before = trainer.method.ldr(scene.test[0].camera, 1.0)
+    state = begin(scene, short())
+    step(state)
+    before = state.method.ldr(scene.test[0].camera, 1.0)
     with torch.no_grad():
-        for value in trainer.nuisances.values.values():
+        for value in state.part(Nuisances).values.values():
             value += 0.5
-    assert torch.equal(trainer.method.ldr(scene.test[0].camera, 1.0), before)
+    assert torch.equal(state.method.ldr(scene.test[0].camera, 1.0), before)
     assert np.isfinite(before.numpy()).all()

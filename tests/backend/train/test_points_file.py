@@ -11,14 +11,16 @@ import torch
 from physhdr.backend.cli import main
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.points import read_points, with_points_file
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import CONFIG_FILE, read_config
 from physhdr.backend.train.memory import sizes_of
+from physhdr.backend.train.plan import planned
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.sizing import extent_of, found_sizes
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
 from physhdr.backend.train.without_effect import changed_without_effect
 from physhdr.bridge.errors import FileDamagedError, FileMissingError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
 COUNT = 40
 COMMENT = "structure from motion: by somebody"
@@ -47,8 +49,8 @@ def short(preset="default", **changes):
 
 def begun(data, config):
     """The trainer, and the places of its Gaussians as a set."""
-    trainer = Trainer(read_scene(data), config)
-    return trainer, {tuple(place) for place in trainer.method.backbone.parameters["means"].tolist()}
+    state = begin(read_scene(data), config)
+    return state, {tuple(place) for place in state.method.backbone.parameters["means"].tolist()}
 
 
 def places(path):
@@ -57,27 +59,27 @@ def places(path):
 
 @pytest.mark.parametrize("preset", ["default", "baseline", "gausshdr-short", "hdr-gs-short"])
 def test_every_method_of_gaussians_starts_from_the_file(preset, data):
-    trainer, means = begun(data, short(preset, initial_points="file"))
+    state, means = begun(data, short(preset, initial_points="file"))
     assert means == places(data / "other.ply") and len(means) == COUNT
     response = ", the response as brackets tell it" if preset == "default" else ""
-    assert trainer.start_message == f"{COUNT} points of other.ply (structure from motion){response}"
+    assert state.start_message == f"{COUNT} points of other.ply (structure from motion){response}"
     _, means = begun(data, short(preset, initial_points="auto"))
     assert means == places(data / "other.ply")
-    trainer, means = begun(data, short(preset, initial_points="both"))
+    state, means = begun(data, short(preset, initial_points="both"))
     assert means > places(data / "other.ply")
-    assert trainer.start_message.startswith(f"{COUNT} points of other.ply (structure from motion), ")
+    assert state.start_message.startswith(f"{COUNT} points of other.ply (structure from motion), ")
 
 
 def test_a_method_that_starts_with_the_points_colours_has_those_of_the_file(data):
     """HDR-GS begins with ln radiance = the points' colours, which are red (1, 0, 0) there."""
-    trainer, _ = begun(data, short("hdr-gs", initial_points="file"))
-    colour = trainer.method.gaussians.reflectance_dc[:, 0] * 0.28209479177387814
+    state, _ = begun(data, short("hdr-gs", initial_points="file"))
+    colour = state.method.gaussians.reflectance_dc[:, 0] * 0.28209479177387814
     assert torch.allclose(colour, torch.tensor([1.0, 0.0, 0.0]).expand(COUNT, 3), atol=1e-5)
 
 
 def test_anchors_are_placed_at_the_file(data):
-    trainer = Trainer(read_scene(data), short("default-scaffold", initial_points="file"))
-    anchors = trainer.method.backbone.positions.detach()
+    state = begin(read_scene(data), short("default-scaffold", initial_points="file"))
+    anchors = state.method.backbone.positions.detach()
     to_file, to_own = (
         torch.cdist(anchors, torch.tensor(read_points(data / name).positions)).min(1).values.mean()
         for name in ("other.ply", "points3d.ply")
@@ -86,16 +88,17 @@ def test_anchors_are_placed_at_the_file(data):
 
 
 def test_rays_are_measured_by_the_file(data):
-    """HDR-NeRF asks the trainer where the scene is."""
-    trainer = Trainer(read_scene(data), short("hdr-nerf-small"))
-    np.testing.assert_array_equal(trainer.first_points(), read_points(data / "other.ply").positions)
+    """HDR-NeRF asks its data where the scene is."""
+    state = begin(read_scene(data), short("hdr-nerf-small"))
+    found = state.data.first_points(state.method.first_response)
+    np.testing.assert_array_equal(found, read_points(data / "other.ply").positions)
 
 
 def test_the_memory_that_is_told_is_of_the_file(data):
     scene = read_scene(data)
-    assert sizes_of(scene, short(initial_points="file")).first == COUNT
+    assert sizes_of(planned(scene, short(initial_points="file"))).first == COUNT
     own = dataclasses.replace(short(initial_points="file"), points_file=None)
-    assert sizes_of(scene, own).first == len(scene.points.positions) != COUNT
+    assert sizes_of(planned(scene, own)).first == len(scene.points.positions) != COUNT
 
 
 def test_sizes_that_are_found_are_of_the_file(data):
@@ -148,7 +151,7 @@ def test_a_damaged_file_is_refused(data):
     ("source", "is_read"), [("file", True), ("both", True), ("stereo", False), ("random", False)]
 )
 def test_where_points_are_from_elsewhere_the_file_has_no_effect(source, is_read, data):
-    trainer, means = begun(data, short(initial_points=source))
-    preset = dataclasses.replace(trainer.config, points_file=None)
-    assert changed_without_effect(trainer, preset) == ([] if is_read else ["--points-file"])
+    state, means = begun(data, short(initial_points=source))
+    preset = dataclasses.replace(state.config, points_file=None)
+    assert changed_without_effect(state, preset) == ([] if is_read else ["--points-file"])
     assert (means == begun(data, preset)[1]) is not is_read

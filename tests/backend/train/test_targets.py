@@ -8,23 +8,24 @@ import torch
 from physhdr.backend.kernels import SsimTarget
 from physhdr.backend.methods.base import Recording
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.targets import SsimTargets
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 
 
-def losses(trainer, count):
-    return [trainer.step()["rec"].item() for _ in range(count)]
+def losses(state, count):
+    return [step(state)["rec"].item() for _ in range(count)]
 
 
 def test_a_training_is_the_same_with_and_without(larger_data):
     config = dataclasses.replace(PRESETS["default"], iterations=16, half_size_until=0.25)
     found = []
     for budget in (1 << 28, 0):
-        trainer = Trainer(read_scene(larger_data), config)
-        trainer.targets.budget = budget
-        found.append(losses(trainer, 16))
-        assert (trainer.targets.bytes_held > 0) == (budget > 0)
+        state = begin(read_scene(larger_data), config)
+        state.data.targets.budget = budget
+        found.append(losses(state, 16))
+        assert (state.data.targets.bytes_held > 0) == (budget > 0)
     assert found[0] == found[1]
 
 

@@ -21,12 +21,15 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import LogEncoding
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.checkpoint import METADATA, load_checkpoint, read_metadata, save_checkpoint
 from physhdr.backend.train.config import fingerprint, in_iterations, read_config, write_config
 from physhdr.backend.train.densify import GaussiansConfig
 from physhdr.backend.train.growth import NoGaussiansLeftError
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
+from physhdr.backend.train.saver import load_method, save
+from physhdr.backend.train.state import TrainingDivergedError
+from physhdr.backend.train.trainer import run, step
 from physhdr.backend.train.views import log_radiance_range
 from physhdr.bridge.errors import (
     BadValueError,
@@ -35,6 +38,7 @@ from physhdr.bridge.errors import (
     FileMissingError,
     OutputError,
 )
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 from physhdr.lab.anchors.config import AnchorsConfig
 from physhdr.lab.peers.hdr_nerf import HDRNeRFConfig
 
@@ -58,12 +62,12 @@ def short(preset: str, iterations: int = 24, **changes):
 
 def train(scene, config, folder, stop_at=None):
     folder.mkdir(parents=True, exist_ok=True)
-    trainer = Trainer(scene, config)
+    state = begin(scene, config)
     # With the monitor that the command line uses: it may look at the truth, training must not notice.
-    stop = lambda: stop_at is not None and trainer.iteration >= stop_at  # noqa: E731
-    for _ in trainer.run(folder, should_stop=stop, monitor=view_monitor(scene), monitor_every=20):
+    stop = lambda: stop_at is not None and state.iteration >= stop_at  # noqa: E731
+    for _ in run(state, folder, should_stop=stop, monitor=view_monitor(scene), monitor_every=20):
         pass
-    return trainer
+    return state
 
 
 def weights(folder):
@@ -110,8 +114,8 @@ def test_a_stopped_and_resumed_run_is_bit_identical(preset, data, request, tmp_p
     whole = train(scene, config, tmp_path / "whole")
     train(scene, config, tmp_path / "parts", stop_at=10)
     assert load_checkpoint(tmp_path / "parts" / CHECKPOINT_FILE)[1]["iteration"] == "10"
-    resumed = Trainer(scene, config, resumed=tmp_path / "parts")
-    for _ in resumed.run(tmp_path / "parts"):
+    resumed = resume(tmp_path / "parts", scene, config)
+    for _ in run(resumed, tmp_path / "parts"):
         pass
     assert len(whole.method.gaussians) > 60  # densification took part
     assert_identical(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
@@ -121,10 +125,10 @@ def test_a_resumed_training_searches_no_points_and_goes_on_counting_seconds(tiny
     scene, config = read_scene(tiny_data), short("default", iterations=12)
     stopped = train(scene, config, tmp_path, stop_at=5)
     spent = stopped.seconds, stopped.cpu_seconds
-    monkeypatch.delattr(f"{Trainer.__module__}.begin")
-    resumed = Trainer(scene, config, resumed=tmp_path)
+    monkeypatch.delattr("physhdr.backend.train.begin.place")
+    resumed = resume(tmp_path, scene, config)
     assert (resumed.seconds, resumed.cpu_seconds) == pytest.approx(spent, abs=1e-3)
-    *_, last = resumed.run(tmp_path)
+    *_, last = run(resumed, tmp_path)
     assert last.seconds > spent[0] and last.cpu_seconds > spent[1]
     assert not last.stopped and last.iteration == 12
 
@@ -156,18 +160,18 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     config = dataclasses.replace(
         PRESETS["default"], iterations=300, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
     )
-    trainer = train(scene, config, tmp_path / "run")
+    state = train(scene, config, tmp_path / "run")
     view = scene.test[0]
 
     def db(image, truth, peak):
         return -10 * np.log10(np.mean((image - truth) ** 2) / peak**2)
 
     truth = read_exr(tiny_data / "test_hdr" / "hdr_000.exr")
-    hdr = trainer.method.hdr(view.camera).numpy().transpose(1, 2, 0)
+    hdr = state.method.hdr(view.camera).numpy().transpose(1, 2, 0)
     ratio = np.median(hdr / truth)
     assert 0.9 < ratio < 1.1
     relit_truth = read_exr(tiny_data / "relit" / "level_2" / "hdr_000.exr")
-    relit = trainer.method.hdr(view.camera, 2.0).numpy().transpose(1, 2, 0)
+    relit = state.method.hdr(view.camera, 2.0).numpy().transpose(1, 2, 0)
     assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 3
 
 
@@ -177,9 +181,9 @@ def test_training_separates_two_lights(two_lights_data, tmp_path):
     config = dataclasses.replace(
         PRESETS["default"], iterations=300, sh_degree_every=1000, backbone=GaussiansConfig(stop=0.0)
     )
-    trainer = train(scene, config, tmp_path / "run")
-    assert trainer.method.lights == ("ambient", "pendant") and len(trainer.views) == 3 + 6
-    result = evaluate(trainer.method, scene)
+    state = train(scene, config, tmp_path / "run")
+    assert state.method.lights == ("ambient", "pendant") and len(state.views) == 3 + 6
+    result = evaluate(state.method, scene)
     assert len(result.relit_conditions) == 6
     mean = result.relit_mean()
     assert mean is not None and mean.gain_over_best_scaled_truth > 8.0 and mean.ours > 29.0
@@ -187,9 +191,9 @@ def test_training_separates_two_lights(two_lights_data, tmp_path):
         assert row.gain_over_best_scaled_truth > 5.0, row
         assert 0.85 < row.scale_ratio < 1.15, row
     opened, _ = load_method(tmp_path / "run", config, scene.response_anchor)
-    assert opened.lights == trainer.method.lights
+    assert opened.lights == state.method.lights
     camera = scene.test[0].camera
-    assert torch.equal(opened.hdr(camera, (0.5, 2.0)), trainer.method.hdr(camera, (0.5, 2.0)))
+    assert torch.equal(opened.hdr(camera, (0.5, 2.0)), state.method.hdr(camera, (0.5, 2.0)))
 
 
 def test_a_checkpoint_names_its_lights(tiny_data, two_lights_data, tmp_path):
@@ -202,7 +206,7 @@ def test_a_checkpoint_names_its_lights(tiny_data, two_lights_data, tmp_path):
         assert tensors["gaussians.light_share_logits"].shape[1:] == (len(lights), 3)
     for folder, other in (("1", two_lights_data), ("2", tiny_data)):
         with pytest.raises(DataMismatchError, match=r"has levels of ambient[\s\S]*begun with"):
-            Trainer(read_scene(other), config, resumed=tmp_path / folder)
+            resume(tmp_path / folder, read_scene(other), config)
 
 
 def test_metadata_are_part_of_the_digest(tiny_data, tmp_path):
@@ -222,9 +226,9 @@ def test_metadata_are_part_of_the_digest(tiny_data, tmp_path):
         with safe_open(path, "pt") as file:
             save_file({key: file.get_tensor(key) for key in file.keys()}, path, metadata | {name: value})  # noqa: SIM118
         with pytest.raises((FileDamagedError, DataMismatchError), match=CHECKPOINT_FILE):
-            Trainer(scene, config, resumed=tmp_path)
+            resume(tmp_path, scene, config)
     path.write_bytes(good)
-    assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+    assert resume(tmp_path, scene, config).iteration == 5
 
 
 @pytest.mark.parametrize("at", [b'"iteration":"5"', b'"networks.tone_mapper.b1":{', b'"__metadata__":{'])
@@ -250,22 +254,22 @@ def test_methods_that_know_one_light_train_on_two(two_lights_data, tmp_path):
     """They do not use the lit views."""
     scene = read_scene(two_lights_data)
     for preset in ("paper", "baseline"):
-        trainer = train(scene, short(preset, iterations=4), tmp_path / preset)
-        assert trainer.method.lights == ("ambient",) and len(trainer.views) == 3
+        state = train(scene, short(preset, iterations=4), tmp_path / preset)
+        assert state.method.lights == ("ambient",) and len(state.views) == 3
 
 
 def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
     scene = read_scene(tiny_data)
-    trainer = Trainer(scene, short("default", exposure_mode="exp1"))
+    state = begin(scene, short("default", exposure_mode="exp1"))
     seen = {}
     for iteration in range(60):
-        view, (k,) = trainer.draw(iteration)
+        view, (k,) = state.draw(iteration)
         seen.setdefault(view.name, set()).add(k)
     assert all(len(ks) == 1 for ks in seen.values()) and len(seen) == 5
-    everything = Trainer(scene, short("default"))
+    everything = begin(scene, short("default"))
     drawn = [everything.draw(i) for i in range(300)]
     assert {k for _, ks in drawn for k in ks} == {0, 2, 4}
-    whole = Trainer(scene, short("default", supervision="bracket"))
+    whole = begin(scene, short("default", supervision="bracket"))
     assert whole.draw(0)[1] == (0, 2, 4)
     # each epoch shows each view once
     assert len({view.name for view, _ in drawn[:5]}) == 5
@@ -273,18 +277,18 @@ def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
 
 def test_lit_views_are_used_only_where_the_method_knows_light(tiny_data):
     scene = read_scene(tiny_data)
-    assert len(Trainer(scene, short("default")).views) == 5
-    assert len(Trainer(scene, short("paper")).views) == 3
-    assert len(Trainer(scene, short("baseline")).views) == 3
+    assert len(begin(scene, short("default")).views) == 5
+    assert len(begin(scene, short("paper")).views) == 3
+    assert len(begin(scene, short("baseline")).views) == 3
 
 
 def test_the_saved_method_renders_as_the_trained_one(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short("paper")
-    trainer = train(scene, config, tmp_path)
+    state = train(scene, config, tmp_path)
     method, iteration = load_method(tmp_path, config, scene.response_anchor)
     assert iteration == 24
     camera = scene.test[0].camera
-    assert torch.equal(method.ldr(camera, 2.0), trainer.method.ldr(camera, 2.0))
+    assert torch.equal(method.ldr(camera, 2.0), state.method.ldr(camera, 2.0))
 
 
 def with_exposures_times(scene, factor):
@@ -298,13 +302,13 @@ def with_exposures_times(scene, factor):
     return dataclasses.replace(scene, train=train, test=test, lit=[], response_anchor=None)
 
 
-def error_of(trainer):
+def error_of(state):
     """Mean absolute difference from the training pictures."""
     errors = []
-    for view in trainer.scene.train:
+    for view in state.plan.seen.scene.train:
         for k, exposure in enumerate(view.exposures):
             picture = torch.from_numpy(view.values(k)).permute(2, 0, 1)
-            errors.append((trainer.method.ldr(view.camera, exposure) - picture).abs().mean().item())
+            errors.append((state.method.ldr(view.camera, exposure) - picture).abs().mean().item())
     return np.mean(errors)
 
 
@@ -345,21 +349,21 @@ def test_bounds_of_radiance_reach_as_far_as_pictures_of_radiance(tiny_data):
 
 def test_a_diverged_run_says_so_and_keeps_the_last_good_checkpoint(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short("default")
-    trainer = Trainer(scene, config)
-    good = trainer.save(tmp_path)
+    state = begin(scene, config)
+    good = save(state, tmp_path)
     with torch.no_grad():
-        trainer.method.tone_mapper.b1.fill_(float("nan"))
+        state.method.tone_mapper.b1.fill_(float("nan"))
     with pytest.raises(TrainingDivergedError, match="diverged at iteration"):
-        list(trainer.run(tmp_path))
+        list(run(state, tmp_path))
     assert load_checkpoint(tmp_path / CHECKPOINT_FILE)[1]["iteration"] == str(good.iteration)
 
 
 def test_gaussians_that_are_not_finite_are_told_as_a_divergence(tiny_data, tmp_path):
-    trainer = Trainer(read_scene(tiny_data), short("default"))
+    state = begin(read_scene(tiny_data), short("default"))
     with torch.no_grad():
-        trainer.method.gaussians.parameters["means"][7] = math.nan
+        state.method.gaussians.parameters["means"][7] = math.nan
     with pytest.raises(TrainingDivergedError, match=r"diverged at iteration 0: means\[7\] of the Gaussians"):
-        list(trainer.run(tmp_path))
+        list(run(state, tmp_path))
 
 
 def test_where_all_gaussians_would_go_training_ends_and_keeps_the_last_good_checkpoint(tiny_data, tmp_path):
@@ -374,17 +378,17 @@ def test_where_all_gaussians_would_go_training_ends_and_keeps_the_last_good_chec
     scene = dataclasses.replace(scene, train=[turned(view) for view in scene.train], lit=[])
     config = short("hdr-gs", initial_points="file")
     config = dataclasses.replace(config, backbone=dataclasses.replace(config.backbone, prune_scale=0.1))
-    trainer = Trainer(scene, config)
-    trainer.save(tmp_path)
+    state = begin(scene, config)
+    save(state, tmp_path)
     with pytest.raises(NoGaussiansLeftError, match="after iteration 18 would remove all"):
-        list(trainer.run(tmp_path))
+        list(run(state, tmp_path))
     method, iteration = load_method(tmp_path, config, scene.response_anchor)
     assert iteration == 0 and len(method.gaussians) == len(scene.points.positions)
 
 
-def first_message(trainer, folder):
+def first_message(state, folder):
     folder.mkdir(parents=True)
-    return next(iter(trainer.run(folder))).message
+    return next(iter(run(state, folder))).message
 
 
 def test_training_works_without_a_points_file(tiny_data, tmp_path):
@@ -393,19 +397,19 @@ def test_training_works_without_a_points_file(tiny_data, tmp_path):
     (data / "points3d.ply").unlink()
     scene = read_scene(data)
     with pytest.raises(BadValueError, match=r"points3d\.ply(.|\n)*--initial-points auto"):
-        Trainer(scene, short("default", initial_points="file"))
-    trainer = Trainer(scene, short("default", initial_points="random", random_points=200))
-    assert len(trainer.method.gaussians) == 200
-    assert "200 random points (as asked for)" in first_message(trainer, tmp_path / "random")
-    trainer = Trainer(scene, short("default"))
-    trainer.step()
-    assert "points by stereo" in first_message(trainer, tmp_path / "stereo")
+        begin(scene, short("default", initial_points="file"))
+    state = begin(scene, short("default", initial_points="random", random_points=200))
+    assert len(state.method.gaussians) == 200
+    assert "200 random points (as asked for)" in first_message(state, tmp_path / "random")
+    state = begin(scene, short("default"))
+    step(state)
+    assert "points by stereo" in first_message(state, tmp_path / "stereo")
     lonely = dataclasses.replace(scene, train=scene.train[:1], lit=[])
-    trainer = Trainer(lonely, short("default", random_points=150))
-    trainer.step()
-    assert "150 random points (the data set has no points" in first_message(trainer, tmp_path / "one view")
+    state = begin(lonely, short("default", random_points=150))
+    step(state)
+    assert "150 random points (the data set has no points" in first_message(state, tmp_path / "one view")
     with pytest.raises(BadValueError, match=r"stereo found 0 points(.|\n)*--initial-points random"):
-        Trainer(lonely, short("default", initial_points="stereo"))
+        begin(lonely, short("default", initial_points="stereo"))
 
 
 def test_stereo_adds_points_where_the_data_set_has_none(tiny_data, tmp_path):
@@ -415,18 +419,18 @@ def test_stereo_adds_points_where_the_data_set_has_none(tiny_data, tmp_path):
     half = Points(positions[left], scene.points.colours[left])
 
     def start(points, source):
-        trainer = Trainer(dataclasses.replace(scene, points=points), short("default", initial_points=source))
-        return trainer, {tuple(p) for p in trainer.method.gaussians.means.detach().tolist()}
+        state = begin(dataclasses.replace(scene, points=points), short("default", initial_points=source))
+        return state, {tuple(p) for p in state.method.gaussians.means.detach().tolist()}
 
     (_, given), (_, seen) = start(half, "file"), start(half, "stereo")
-    trainer, both = start(half, "both")
-    assert given < both <= given | seen and f"{len(both - given):,} more by stereo" in trainer.start_message
+    state, both = start(half, "both")
+    assert given < both <= given | seen and f"{len(both - given):,} more by stereo" in state.start_message
     spare = np.array(sorted(seen - both))  # these have a given point near them, the added ones have none
     nearest = KDTree(positions[left]).query
     assert nearest(spare)[0].max() < np.median(nearest(np.array(sorted(both - given)))[0])
     assert len(start(scene.points, "both")[1]) - len(positions) < len(both - given)
     lonely = dataclasses.replace(scene, train=scene.train[:1], lit=[])  # no stereo: the data set's alone
-    assert len(Trainer(lonely, short("default")).method.gaussians) == len(positions)
+    assert len(begin(lonely, short("default")).method.gaussians) == len(positions)
 
 
 def test_the_start_sees_only_what_training_may(tiny_data, tmp_path):
@@ -447,7 +451,7 @@ def test_the_start_sees_only_what_training_may(tiny_data, tmp_path):
         config = short("default", initial_points="stereo")
         tone_mapper = dataclasses.replace(config.method.tone_mapper, **changes)
         method = dataclasses.replace(config.method, tone_mapper=tone_mapper)
-        return Trainer(read_scene(data), dataclasses.replace(config, method=method)).method.gaussians.means
+        return begin(read_scene(data), dataclasses.replace(config, method=method)).method.gaussians.means
 
     for path in [*spoiled.glob("*_hdr/*.exr"), *spoiled.glob("relit/*/*.exr")]:
         write_exr(path, rng.uniform(0, 100, read_exr(path).shape).astype(np.float32))
@@ -465,7 +469,7 @@ def test_the_start_sees_only_what_training_may(tiny_data, tmp_path):
 
 def test_exposures_that_the_data_do_not_have_are_refused(tiny_data):
     with pytest.raises(DataMismatchError, match="--training-exposures"):
-        Trainer(read_scene(tiny_data), short("default", training_exposures=(7,)))
+        begin(read_scene(tiny_data), short("default", training_exposures=(7,)))
 
 
 def test_a_configuration_file_reproduces_the_configuration(tmp_path):
@@ -481,8 +485,8 @@ def test_a_configuration_file_reproduces_the_configuration(tmp_path):
 
 
 def test_a_damaged_checkpoint_is_refused(tiny_data, tmp_path):
-    trainer = Trainer(read_scene(tiny_data), short("default"))
-    trainer.save(tmp_path)
+    state = begin(read_scene(tiny_data), short("default"))
+    save(state, tmp_path)
     path = tmp_path / CHECKPOINT_FILE
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
@@ -507,10 +511,10 @@ def test_a_checkpoint_belongs_to_its_configuration(tiny_data, tmp_path):
         short("default", iterations=12, seed=77),
     ):
         with pytest.raises(DataMismatchError, match="another configuration"):
-            Trainer(scene, other, resumed=tmp_path)
+            resume(tmp_path, scene, other)
         with pytest.raises(DataMismatchError, match="another configuration"):
             load_method(tmp_path, other, scene.response_anchor)
-    assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+    assert resume(tmp_path, scene, config).iteration == 5
 
 
 def test_what_was_read_of_a_checkpoint_is_no_longer_the_file(tmp_path):
@@ -526,11 +530,13 @@ def test_what_was_read_of_a_checkpoint_is_no_longer_the_file(tmp_path):
 def test_a_checkpoint_belongs_to_the_bounds_of_radiance_of_its_pictures(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short("default", iterations=12)
     sunny = dataclasses.replace(scene, train=[in_the_sun(view) for view in scene.train])
-    trainer = train(sunny, config, tmp_path, stop_at=5)
-    assert trainer.range == pytest.approx((-12.0, math.log(200.0 * 8000.0)))  # 200 times white in 1/8000 s
-    assert Trainer(sunny, config, resumed=tmp_path).iteration == 5
+    state = train(sunny, config, tmp_path, stop_at=5)
+    assert state.plan.seen.range == pytest.approx(
+        (-12.0, math.log(200.0 * 8000.0))
+    )  # 200 times white in 1/8000 s
+    assert resume(tmp_path, sunny, config).iteration == 5
     with pytest.raises(DataMismatchError, match="bounds of radiance"):
-        Trainer(scene, config, resumed=tmp_path)
+        resume(tmp_path, scene, config)
 
 
 def in_the_sun(view):
@@ -590,7 +596,7 @@ def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
         tensors = {name: tensor for name, tensor in whole.items() if name not in without} | dict(changes)
         rewritten(path, lambda _: tensors, **metadata)  # the numbers shall be looked at themselves
         with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
-            Trainer(scene, config, resumed=tmp_path)
+            resume(tmp_path, scene, config)
 
     for iteration in (None, "13", "1000000000", "-1", "", "5.0", "1e0", "٣", "1_0", "nan"):
         refused(iteration=iteration)
@@ -617,7 +623,7 @@ def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
         rows = {name: whole[name][:0] for name in names if name.startswith("gaussians.")}
         refused(rows)  # no Gaussians
     path.write_bytes(good)
-    assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+    assert resume(tmp_path, scene, config).iteration == 5
 
 
 def test_a_bit_that_tipped_over_is_noticed(tiny_data, tmp_path):
@@ -658,40 +664,40 @@ def test_settings_that_cannot_be_are_refused_when_they_are_made(change):
 
 def test_a_state_with_numbers_that_are_none_is_not_saved(tiny_data, tmp_path):
     """A step may spoil the weights while the loss that led to it was a number."""
-    trainer = train(read_scene(tiny_data), short("default", iterations=12), tmp_path, stop_at=5)
+    state = train(read_scene(tiny_data), short("default", iterations=12), tmp_path, stop_at=5)
     before = (tmp_path / CHECKPOINT_FILE).read_bytes()
     with torch.no_grad():
-        trainer.method.gaussians.log_scales[0, 0] = torch.inf
+        state.method.gaussians.log_scales[0, 0] = torch.inf
     with pytest.raises(TrainingDivergedError, match=r"gaussians\.log_scales has values that are not numbers"):
-        trainer.save(tmp_path)
+        save(state, tmp_path)
     assert (tmp_path / CHECKPOINT_FILE).read_bytes() == before
 
 
 def test_checkpoints_are_written_by_time(tiny_data, tmp_path, monkeypatch):
     """Every so many seconds, and writing takes a fiftieth of the time at most; a clock that is told."""
     now = [0.0]
-    monkeypatch.setattr(f"{Trainer.__module__}.time.perf_counter", lambda: now[0])
-    trainer = Trainer(read_scene(tiny_data), short("default", iterations=40))
-    step, save, saved_at = trainer.step, trainer.save, []
+    monkeypatch.setattr("physhdr.backend.train.trainer.time.perf_counter", lambda: now[0])
+    state = begin(read_scene(tiny_data), short("default", iterations=40))
+    saved_at = []
 
-    def slow_step():
+    def slow_step(advanced):
         now[0] += 10.0
-        return step()
+        return step(advanced)
 
-    def slow_save(folder):
+    def slow_save(saved, folder):
         saved_at.append(now[0])
         now[0] += 2.0  # of 2 %: nothing for 100 seconds
-        return save(folder)
+        return save(saved, folder)
 
-    monkeypatch.setattr(trainer, "step", slow_step)
-    monkeypatch.setattr(trainer, "save", slow_save)
-    list(trainer.run(tmp_path, checkpoint_seconds=30.0))
+    monkeypatch.setattr("physhdr.backend.train.trainer.step", slow_step)
+    monkeypatch.setattr("physhdr.backend.train.saver.save", slow_save)
+    list(run(state, tmp_path, checkpoint_seconds=30.0))
     # The last one is the end's: 40 iterations and 4 saves.
     assert saved_at == [30.0, 132.0, 234.0, 336.0, 408.0]
 
 
 def test_a_full_disk_leaves_the_checkpoint_before(tiny_data, tmp_path):
-    trainer = train(read_scene(tiny_data), short("default", iterations=12), tmp_path, stop_at=5)
+    state = train(read_scene(tiny_data), short("default", iterations=12), tmp_path, stop_at=5)
     before = (tmp_path / CHECKPOINT_FILE).read_bytes()
     resource = pytest.importorskip("resource")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -699,7 +705,7 @@ def test_a_full_disk_leaves_the_checkpoint_before(tiny_data, tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))  # a disk that is full after a page
     try:
         with pytest.raises(OutputError, match=rf"cannot write the checkpoint \S*{CHECKPOINT_FILE}"):
-            trainer.save(tmp_path)
+            save(state, tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, handler)
@@ -737,7 +743,7 @@ def test_numbers_of_a_type_that_no_run_has_are_refused(tiny_data, tmp_path):
 
 @pytest.mark.parametrize("damage", ["empty", "text", "dtype", "header", "deep", "offsets"])
 def test_whatever_is_wrong_with_the_container_is_one_error(damage, tiny_data, tmp_path):
-    Trainer(read_scene(tiny_data), short("default")).save(tmp_path)
+    save(begin(read_scene(tiny_data), short("default")), tmp_path)
     path = tmp_path / CHECKPOINT_FILE
     data = path.read_bytes()
     size = int.from_bytes(data[:8], "little")

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 from physhdr.backend.train.without_effect import changed_without_effect
 
 
@@ -70,11 +71,11 @@ CASES = {
 
 def trained(scene, config):
     """The trainer, and all parameters after a short training in one vector."""
-    trainer = Trainer(scene, config, "cpu")
+    state = begin(scene, config, "cpu")
     for _ in range(config.iterations):
-        trainer.step()
-    groups = trainer.method.parameter_groups()
-    return trainer, torch.cat([p.detach().flatten() for group in groups.values() for p in group])
+        step(state)
+    groups = state.method.parameter_groups()
+    return state, torch.cat([p.detach().flatten() for group in groups.values() for p in group])
 
 
 @pytest.mark.parametrize("preset", CASES)
@@ -87,8 +88,8 @@ def test_what_is_not_read_is_named_and_changes_nothing(preset, tiny_data):
     _, expected = trained(scene, base)
     read, unread = CASES[preset]
     for option in (*read, *unread):
-        trainer, parameters = trained(scene, CHANGES[option](base))
-        assert changed_without_effect(trainer, base) == ([option] if option in unread else [])
+        state, parameters = trained(scene, CHANGES[option](base))
+        assert changed_without_effect(state, base) == ([option] if option in unread else [])
         same = parameters.shape == expected.shape and torch.equal(parameters, expected)
         assert same == (option in unread), option
 
@@ -98,9 +99,9 @@ def test_merged_brackets_are_named_where_training_sees_one_exposure_of_each_view
     preset = dataclasses.replace(PRESETS["default"], initial_points="file")
     for mode, unread in (("exp3", []), ("exp1", ["--set merged_brackets"])):
         base = dataclasses.replace(preset, exposure_mode=mode)
-        trainer = Trainer(scene, dataclasses.replace(base, merged_brackets="on"))
-        assert changed_without_effect(trainer, base) == unread
-        assert ("brackets merged" in trainer.start_message) == (not unread)
+        state = begin(scene, dataclasses.replace(base, merged_brackets="on"))
+        assert changed_without_effect(state, base) == unread
+        assert ("brackets merged" in state.start_message) == (not unread)
 
 
 def test_networks_read_none_of_what_starts_splats_and_make_no_tables_of_brackets(tiny_data):
@@ -110,7 +111,7 @@ def test_networks_read_none_of_what_starts_splats_and_make_no_tables_of_brackets
     base = dataclasses.replace(whole, iterations=2, initial_points="file", method=method)
     _, expected = trained(scene, base)
     changed = dataclasses.replace(base, far_shell="on", clear_cameras="on", merged_brackets="on")
-    trainer, parameters = trained(scene, changed)
+    state, parameters = trained(scene, changed)
     unread = ["--set far_shell", "--set merged_brackets", "--set clear_cameras"]
-    assert changed_without_effect(trainer, base) == unread and torch.equal(parameters, expected)
-    assert trainer.merged is None
+    assert changed_without_effect(state, base) == unread and torch.equal(parameters, expected)
+    assert state.data.merged is None

@@ -19,10 +19,12 @@ from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.backbones import new_method
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.backend.train.trainer import run
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 from physhdr.lab.peers.gausshdr import GaussHDR, GaussHDRConfig, Half
 
 ANCHOR = (1.0, 0.73)
@@ -311,13 +313,13 @@ def test_it_goes_on_bit_identically_across_the_switch_to_local_curves(tiny_data,
     scene, config = read_scene(tiny_data), short()
     for name in ("whole", "parts"):
         (tmp_path / name).mkdir()
-    for _ in Trainer(scene, config).run(tmp_path / "whole"):
+    for _ in run(begin(scene, config), tmp_path / "whole"):
         pass
-    trainer = Trainer(scene, config)
-    for _ in trainer.run(tmp_path / "parts", should_stop=lambda: trainer.iteration >= 15):
+    state = begin(scene, config)
+    for _ in run(state, tmp_path / "parts", should_stop=lambda: state.iteration >= 15):
         pass
-    resumed = Trainer(scene, config, resumed=tmp_path / "parts")
-    for _ in resumed.run(tmp_path / "parts"):
+    resumed = resume(tmp_path / "parts", scene, config)
+    for _ in run(resumed, tmp_path / "parts"):
         pass
     whole, parts = (load_checkpoint(tmp_path / name / CHECKPOINT_FILE)[0] for name in ("whole", "parts"))
     assert whole.keys() == parts.keys() and len(resumed.method.gaussians) > 60
@@ -332,11 +334,11 @@ def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
     config = dataclasses.replace(
         config, iterations=250, sh_degree_every=1000, backbone=dataclasses.replace(config.backbone, stop=0.0)
     )
-    trainer = Trainer(scene, config)
-    before = evaluate(trainer.method, scene)
-    for _ in trainer.run(tmp_path):
+    state = begin(scene, config)
+    before = evaluate(state.method, scene)
+    for _ in run(state, tmp_path):
         pass
-    after = evaluate(trainer.method, scene)
+    after = evaluate(state.method, scene)
     assert after.ldr_oe.psnr > max(22.5, before.ldr_oe.psnr + 8.0)
-    drawn = trainer.method.draw(scene.test[0].camera, 2.0)
+    drawn = state.method.draw(scene.test[0].camera, 2.0)
     assert drawn.in_3d.uncertainty.min() >= 0.1 and drawn.in_2d.uncertainty.std() > 0.0

@@ -18,12 +18,14 @@ from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.pictures import write_exr
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.backend.train.trainer import run, step
 from physhdr.bridge.data_set import truth_file
 from physhdr.bridge.errors import BadValueError, FileMissingError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 from physhdr.lab.peers.hdr_gs import HDRGS, HDRGSConfig, compressed, compressed_truth
 
 EXPOSURE = 2.0
@@ -125,7 +127,7 @@ def begun(scene, **changes):
     preset = PRESETS["hdr-gs"]
     method = dataclasses.replace(preset.method, **{k: v for k, v in changes.items() if k != "initial_points"})
     source = changes.get("initial_points", "auto")
-    return Trainer(scene, dataclasses.replace(preset, method=method, initial_points=source)).method
+    return begin(scene, dataclasses.replace(preset, method=method, initial_points=source)).method
 
 
 def first_radiance(method):
@@ -206,14 +208,14 @@ def test_hdr_supervision_is_said_aloud_and_written_down(tiny_data, tmp_path):
     for name, config in (("plain", plain), ("supervised", supervised)):
         (tmp_path / name).mkdir()
         if config is plain:
-            trainer = Trainer(scene, config)
+            state = begin(scene, config)
         else:
             with pytest.warns(UserWarning, match="Trained with HDR ground truth"):
-                trainer = Trainer(scene, config)
-        for _ in trainer.run(tmp_path / name):
+                state = begin(scene, config)
+        for _ in run(state, tmp_path / name):
             pass
         weights.append(load_checkpoint(tmp_path / name / CHECKPOINT_FILE)[0]["gaussians.means"])
-        said = "Trained with HDR ground truth" in to_markdown(evaluate(trainer.method, scene))
+        said = "Trained with HDR ground truth" in to_markdown(evaluate(state.method, scene))
         assert said == (config is supervised)
     assert not torch.equal(*weights)
     write_config(tmp_path / "config.json", supervised, tiny_data, "hdr-gs")
@@ -230,8 +232,8 @@ def test_a_view_whose_pose_is_learned_keeps_its_true_picture(tiny_data, tmp_path
     method = dataclasses.replace(preset.method, hdr_supervision=True, hdr_truth=str(tmp_path))
     config = dataclasses.replace(preset, method=method, poses="on", iterations=4)
     with pytest.warns(UserWarning, match="Trained with HDR ground truth"):
-        trainer = Trainer(dataclasses.replace(scene, train=[view]), config)
-    assert all(math.isfinite(trainer.step()["hdr"].item()) for _ in range(2))
+        state = begin(dataclasses.replace(scene, train=[view]), config)
+    assert all(math.isfinite(step(state)["hdr"].item()) for _ in range(2))
 
 
 def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
@@ -247,10 +249,10 @@ def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
         method=PRESETS["hdr-gs"].method,
         optimiser=dataclasses.replace(config.optimiser, networks_times=10.0),
     )
-    trainer = Trainer(scene, config)
-    before = evaluate(trainer.method, scene)
-    for _ in trainer.run(tmp_path):
+    state = begin(scene, config)
+    before = evaluate(state.method, scene)
+    for _ in run(state, tmp_path):
         pass
-    after = evaluate(trainer.method, scene)
+    after = evaluate(state.method, scene)
     assert after.ldr_oe.psnr > max(24.0, before.ldr_oe.psnr + 3.0), before.ldr_oe
     assert after.hdr_aligned_mean.psnr > after.hdr_mean.psnr - 0.5

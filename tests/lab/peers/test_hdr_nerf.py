@@ -13,10 +13,14 @@ from physhdr.backend.methods.base import Batch, Facts
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.source import Decoded
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import TrainConfig, read_config, write_config
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
+from physhdr.backend.train.saver import load_method
+from physhdr.backend.train.state import TrainingDivergedError
+from physhdr.backend.train.trainer import run, step
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 from physhdr.lab.peers import hdr_nerf
 from physhdr.lab.peers.field import (
     Field,
@@ -288,10 +292,10 @@ def test_losses_and_gradients_are_those_of_the_equations(tiny_data, monkeypatch)
     """Every term and gradient in float64, computed ray by ray, without parts, kernels or shortcuts."""
     monkeypatch.setattr(hdr_nerf, "CPU_VALUES", 5 * 14 * 24)  # five rays at once: the last part is smaller
     config = dataclasses.replace(TINY, rays_per_iteration=12)
-    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=config, iterations=10))
+    state = begin(read_scene(tiny_data), TrainConfig(method=config, iterations=10))
     method = method_of(config, double=True)
-    batch = trainer.batch(3)
-    film = method._film_of(trainer)
+    batch = state.batch(3)
+    film = method._film_of(state.data)
     rays, targets, log_t, generator = method._draw(film, batch.seed)
     jitter, u = method._chances(len(rays), generator)
 
@@ -330,13 +334,13 @@ def test_losses_and_gradients_are_those_of_the_equations(tiny_data, monkeypatch)
 
 
 def test_float32_with_kernels_agrees_with_float64(tiny_data):
-    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=10))
-    batch = trainer.batch(0)
+    state = begin(read_scene(tiny_data), TrainConfig(method=TINY, iterations=10))
+    batch = state.batch(0)
     config = dataclasses.replace(TINY, rays_per_iteration=400)
     single, double = method_of(config), method_of(config, double=True)
     double.load_state_dict(single.state_dict())
     # The same chances: float64 draws others than float32 does.
-    film = single._film_of(trainer)
+    film = single._film_of(state.data)
     rays, targets, log_t, generator = single._draw(film, batch.seed)
     chances = single._chances(len(rays), generator)
     errors = []
@@ -466,19 +470,19 @@ LEARNING = dataclasses.replace(
 
 def train(scene, config, folder, stop_at=None):
     folder.mkdir(parents=True, exist_ok=True)
-    trainer = Trainer(scene, config)
-    for _ in trainer.run(folder, should_stop=lambda: trainer.iteration == stop_at):
+    state = begin(scene, config)
+    for _ in run(state, folder, should_stop=lambda: state.iteration == stop_at):
         pass
-    return trainer
+    return state
 
 
 def test_a_short_training_learns_the_scene_and_its_files_hold_it(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     config = TrainConfig(method=LEARNING, iterations=300)
-    trainer = train(scene, config, tmp_path)
+    state = train(scene, config, tmp_path)
     view = scene.train[1]
     truth = torch.from_numpy(view.image(2).copy()).permute(2, 0, 1) / 255.0
-    picture = trainer.method.ldr(view.camera, view.exposures[2])
+    picture = state.method.ldr(view.camera, view.exposures[2])
     assert psnr(picture, truth) > 20.0
     flat = truth.mean(dim=(1, 2), keepdim=True).expand_as(truth)
     assert psnr(picture, truth) > psnr(flat, truth) + 4.0
@@ -500,8 +504,8 @@ def test_a_stopped_and_resumed_run_is_bit_identical(tiny_data, tmp_path, noise):
     config = TrainConfig(method=method, iterations=12, exposure_mode="exp1")
     train(scene, config, tmp_path / "whole")
     train(scene, config, tmp_path / "parts", stop_at=5)
-    trainer = Trainer(scene, config, resumed=tmp_path / "parts")
-    for _ in trainer.run(tmp_path / "parts"):
+    state = resume(tmp_path / "parts", scene, config)
+    for _ in run(state, tmp_path / "parts"):
         pass
     whole, parts = (load_checkpoint(tmp_path / name / CHECKPOINT_FILE)[0] for name in ("whole", "parts"))
     assert whole.keys() == parts.keys() and any(name.startswith("adam.") for name in whole)
@@ -510,13 +514,14 @@ def test_a_stopped_and_resumed_run_is_bit_identical(tiny_data, tmp_path, noise):
 
 
 def test_points_come_from_the_data_set_else_from_stereo(tiny_data):
-    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
-    assert len(trainer.first_points()) == 60
-    trainer.scene = dataclasses.replace(trainer.scene, points=None)
-    found = trainer.first_points()
+    state = begin(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
+    response = state.method.first_response
+    assert len(state.data.first_points(response)) == 60
+    without = begin(dataclasses.replace(state.plan.seen.scene, points=None), state.config)
+    found = without.data.first_points(response)
     assert found.shape[1:] == (3,)
-    trainer.step()
-    assert trainer.method.space.is_known
+    step(state)
+    assert state.method.space.is_known
 
 
 def test_rays_that_the_cameras_forbid_are_told_as_what_they_are(tiny_data, tmp_path):
@@ -527,29 +532,29 @@ def test_rays_that_the_cameras_forbid_are_told_as_what_they_are(tiny_data, tmp_p
         camera = dataclasses.replace(view.camera, camera_to_world=around.camera_to_world)
         train.append(dataclasses.replace(view, camera=camera))
     config = TrainConfig(method=dataclasses.replace(TINY, rays="ndc"), iterations=4)
-    trainer = Trainer(dataclasses.replace(scene, train=train), config)
+    state = begin(dataclasses.replace(scene, train=train), config)
     with pytest.raises(BadValueError, match="cannot be in NDC") as raised:
-        list(trainer.run(tmp_path))
+        list(run(state, tmp_path))
     assert raised.value.hint == "Give --set method.rays=metric."
 
 
 def test_nan_is_rejected(tiny_data, tmp_path):
-    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=30))
+    state = begin(read_scene(tiny_data), TrainConfig(method=TINY, iterations=30))
     with torch.no_grad():
-        trainer.method.fine.log_radiance.bias[1] = math.nan
+        state.method.fine.log_radiance.bias[1] = math.nan
     with pytest.raises(TrainingDivergedError, match="not a number"):
-        list(trainer.run(tmp_path))
+        list(run(state, tmp_path))
     assert not (tmp_path / CHECKPOINT_FILE).exists()
 
 
 def test_every_picture_that_training_may_see_is_on_the_film(tiny_data):
-    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
-    method = trainer.method
-    film = method._film_of(trainer)
+    state = begin(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
+    method = state.method
+    film = method._film_of(state.data)
     assert film.codes.shape == (3 * 3 * 32 * 32, 3)  # three views, three exposures
     rays, targets, log_exposures, _ = method._draw(film, (0, 0))
-    assert isinstance(trainer.batch(0), Batch)
-    allowed = {round(math.log(view.exposures[k]), 4) for view in trainer.views for k in (0, 2, 4)}
+    assert isinstance(state.batch(0), Batch)
+    allowed = {round(math.log(view.exposures[k]), 4) for view in state.views for k in (0, 2, 4)}
     assert {round(x, 4) for x in log_exposures.tolist()} == allowed
     # A drawn ray is that of its pixel: find the pixel by projecting, and compare its value.
     numbers, inverse = method.space.numbers.numpy(), np.linalg.inv(method.space.frame.numpy())
@@ -559,7 +564,7 @@ def test_every_picture_that_training_may_see_is_on_the_film(tiny_data):
     world = (inverse[:3, :3] @ in_frame).T + inverse[:3, 3]
     for i in range(len(rays)):
         matches = []
-        for view in trainer.views:
+        for view in state.views:
             seen = view.camera.world_to_camera[:3, :3] @ world[i] + view.camera.world_to_camera[:3, 3]
             column = view.camera.fx * seen[0] / seen[2] + view.camera.cx - 0.5
             row = view.camera.fy * seen[1] / seen[2] + view.camera.cy - 0.5
@@ -574,18 +579,18 @@ def test_every_picture_that_training_may_see_is_on_the_film(tiny_data):
 
 def test_masked_pixels_are_never_drawn_and_16_bits_are_kept(tiny_data):
     """One picture of 16 bits and one with a mask: all of the film is then of 16 bits, 257 times the 8."""
-    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
-    view, k = trainer.views[1], trainer.exposures[1][0]
+    state = begin(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
+    view, k = state.views[1], state.data.exposures[1][0]
     read, mask = view.cache.get(view.sources[k]), np.zeros((32, 32), bool)
     mask[10:20] = True
     deep = read.codes.astype(np.uint16) * np.uint16(257) + np.uint16(11)
     view.cache._pictures[view.sources[k].key] = Decoded(deep, mask)
-    film = film_of(trainer, trainer.method.space, torch.device("cpu"))
+    film = film_of(state.data, state.method.space, torch.device("cpu"))
     assert film.codes.dtype == torch.uint16 and film.largest == 65535.0
     first = 3 * 32 * 32  # of the second view
     there = film.compared[(film.compared >= first) & (film.compared < first + 32 * 32)] - first
     assert torch.equal(there, torch.arange(10 * 32, 20 * 32)) and film.size == 8 * 32 * 32 + 10 * 32
     assert np.array_equal(film.codes[first : first + 1024].int().numpy(), deep.reshape(-1, 3))
-    eight = trainer.views[0].image(trainer.exposures[0][0]).reshape(-1, 3)
+    eight = state.views[0].image(state.data.exposures[0][0]).reshape(-1, 3)
     assert np.array_equal(film.codes[:1024].int().numpy() / 65535.0, eight / 255.0)
-    trainer.step()
+    step(state)

@@ -13,8 +13,9 @@ import pytest
 from physhdr.backend.cli import main
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import step
 from physhdr.bridge import presets as named
 from physhdr.lab import peers, presets
 
@@ -68,8 +69,8 @@ def test_it_trains_and_is_evaluated_by_the_pages_commands(toy, tiny_data, tmp_pa
 
 def test_it_learns(toy, tiny_data):
     config = dataclasses.replace(presets.PRESETS["toy"], iterations=80, supervision="bracket")
-    trainer = Trainer(read_scene(tiny_data), config)
-    losses = [float(trainer.step()["l1"]) for _ in range(config.iterations)]
+    state = begin(read_scene(tiny_data), config)
+    losses = [float(step(state)["l1"]) for _ in range(config.iterations)]
     assert sum(losses[-10:]) < 0.6 * sum(losses[:10])
 
 

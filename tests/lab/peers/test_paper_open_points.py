@@ -18,10 +18,12 @@ from physhdr.backend.runs.views import write_views
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.backbones import new_method
+from physhdr.backend.train.begin import begin
 from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.densify import GaussiansConfig
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.trainer import run as train
+from physhdr.backend.train.trainer import step
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.model_file import read_model
 from physhdr.lab.anchors.config import AnchorsConfig
@@ -266,9 +268,9 @@ def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny
     # Stopped and resumed it is the same, to the bit: the checkpoint holds three channels.
     run.mkdir()
     write_config(run / "config.json", config, tiny_data, preset)
-    stopped = Trainer(scene := read_scene(tiny_data), config)
+    stopped = begin(scene := read_scene(tiny_data), config)
     stopped.views_digest = write_views(run, scene)
-    for _ in stopped.run(run, should_stop=lambda: stopped.iteration >= 7):
+    for _ in train(stopped, run, should_stop=lambda: stopped.iteration >= 7):
         pass
     assert main(["train", str(tiny_data), "--resume", str(run)]) == 0
     first, second = (open_run(folder, tiny_data).method for folder in (whole, run))
@@ -298,10 +300,10 @@ BEFORE = {"paper": (2.016715, 0.785076, 479), "paper-short": (2.310477, 0.811446
 def test_without_them_a_training_is_what_it_was(preset, tiny_data):
     growth = dataclasses.replace(PRESETS[preset].backbone, start=4, every=6, stop=0.9)
     config = dataclasses.replace(PRESETS[preset], iterations=24, sh_degree_every=4, backbone=growth)
-    trainer = Trainer(read_scene(tiny_data), config)
-    losses = [torch.stack(list(trainer.step().values())).sum().item() for _ in range(24)]
+    state = begin(read_scene(tiny_data), config)
+    losses = [torch.stack(list(step(state).values())).sum().item() for _ in range(24)]
     early, grown, count = BEFORE[preset]
     # Other rounding is all that may differ; what it makes doubles every few iterations.
     assert losses[3] == pytest.approx(early, rel=1e-5)
     assert losses[11] == pytest.approx(grown, rel=5e-3)
-    assert trainer.method.size == pytest.approx(count, abs=2)
+    assert state.method.size == pytest.approx(count, abs=2)

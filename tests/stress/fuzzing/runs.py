@@ -41,9 +41,10 @@ def _data(seeds: Path) -> Path:
 
 def write_runs(folder: Path) -> None:
     from physhdr.backend.runs.views import write_views
+    from physhdr.backend.train.begin import begin
     from physhdr.backend.train.config import CONFIG_FILE, write_config
     from physhdr.backend.train.presets import PRESETS as ALL
-    from physhdr.backend.train.trainer import Trainer
+    from physhdr.backend.train.trainer import run as train
 
     data = _data(folder)
     for preset in PRESETS:
@@ -53,9 +54,9 @@ def write_runs(folder: Path) -> None:
         if preset == "hdr-nerf-small":
             config = _small_networks(config)
         write_config(run / CONFIG_FILE, config, data, preset)
-        trainer = Trainer(_scene(data), config, "reference")
-        trainer.views_digest = write_views(run, trainer.scene)
-        for _ in trainer.run(run, should_stop=lambda trainer=trainer: trainer.iteration >= ITERATIONS - 1):
+        state = begin(_scene(data), config, "reference")
+        state.views_digest = write_views(run, state.plan.seen.scene)
+        for _ in train(state, run, should_stop=lambda state=state: state.iteration >= ITERATIONS - 1):
             pass
 
 
@@ -93,17 +94,20 @@ def open_(folder: Path, file: str, _: bytes) -> None:
 
 def resume(folder: Path, file: str, _: bytes) -> None:
     """As a training goes on, to its end; one that diverges must say so and leave the checkpoint alone."""
+    from physhdr.backend.train.begin import resume as resumed
     from physhdr.backend.train.config import CONFIG_FILE, read_config
-    from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError
+    from physhdr.backend.train.state import TrainingDivergedError
+    from physhdr.backend.train.trainer import run as train
+    from physhdr.bridge.run_folder import CHECKPOINT_FILE
 
     path = folder / CHECKPOINT_FILE
     before = path.read_bytes() if path.is_file() else b""
     config = read_config(folder / CONFIG_FILE).config
-    trainer = Trainer(_scene(_data(folder.parent)), config, "reference", resumed=folder)
-    _require(0 <= trainer.iteration <= config.iterations, "an iteration beyond the last")
-    _require(math.isfinite(trainer.seconds) and trainer.seconds >= 0.0, "the seconds that it took")
+    state = resumed(folder, _scene(_data(folder.parent)), config, "reference")
+    _require(0 <= state.iteration <= config.iterations, "an iteration beyond the last")
+    _require(math.isfinite(state.seconds) and state.seconds >= 0.0, "the seconds that it took")
     try:
-        for event in trainer.run(folder):
+        for event in train(state, folder):
             losses = getattr(event, "losses", {})
             _require(all(np.isfinite(value) for value in losses.values()), "a loss that is not a number")
     except TrainingDivergedError:
@@ -123,8 +127,8 @@ def write_run_and_data(folder: Path) -> None:
     layouts.write_nerfstudio(home / "data", masks=True, exposure_time=0.5)
     config = TrainConfig(iterations=ITERATIONS, initial_points="random", random_points=50)
     words: dict[str, Any] = {"typed": ["iterations"], "overwrite": False, "workshop": _workshop([])}
-    with start_run(home / "data", home / "run", config, "default", **words) as (trainer, run):
-        for _ in trainer.run(run.folder, should_stop=lambda: trainer.iteration >= ITERATIONS - 1):
+    with start_run(home / "data", home / "run", config, "default", **words) as (state, run):
+        for _ in run(state, run.folder, should_stop=lambda: state.iteration >= ITERATIONS - 1):
             pass
     digests = {str(path.relative_to(home)): _digest(path) for path in home.rglob("*") if path.is_file()}
     (home / WHOLE).write_text(json.dumps(digests))

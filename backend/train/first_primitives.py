@@ -6,63 +6,37 @@ points tell of the photos themselves (gains, balances, lens, and the response wh
 once they are there; and their radiance is read with all of that known.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 
-from ..methods.base import Method, Responses
 from ..model.backbone import Start
 from ..model.tone_mapper import Response, ToneMapper
 from ..scene.plausible import too_near
 from ..scene.points import EXACT, STRUCTURE_FROM_MOTION
-from ..scene.scene import Scene, View
+from ..scene.scene import View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, largest_sizes, merged_log_radiance
-from ..start.merged_brackets import MergedBrackets
 from ..start.photometry import NO_STOPS, Photometry, Untold
 from ..start.response import bracket_response, display_response, point_response
 from .clearance import clearances
-from .config import Switch, TrainConfig
 from .nuisances import Nuisances
-from .sizing import budget_of
+from .plan import Plan
+from .state import State
+from .views import Seen
 
 #: Who told of the response at the start, in words.
 BY_BRACKETS, BY_POINTS, BY_SRGB = "brackets tell it", "points tell it", "sRGB has it"
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What a training may look at: ``views`` of ``scene``, at ``exposures``, their positions in each bracket.
-
-    ``responses``: what is known of them; ``range``: bounds of ln radiance; ``merged``: pictures with the
-    light of their brackets, where they are; ``nuisances``: what is learned of each photo, where anything is.
-    """
-
-    scene: Scene
-    views: list[View]
-    exposures: list[tuple[int, ...]]
-    responses: Responses
-    range: tuple[float, float]
-    merged: MergedBrackets | None
-    nuisances: Nuisances | None
-
-
-@dataclass(frozen=True)
-class Begun:
-    """``message``: whence, in words for the user. ``clearance`` ``[V]`` metres: before these depths of the
-    views nothing was photographed; None where Gaussians may be anywhere."""
-
-    message: str
-    clearance: torch.Tensor | None
-
-
-def begin(method: Method, seen: Seen, config: TrainConfig) -> Begun:
+def place(state: State, nuisances: Nuisances | None) -> None:
     """Put the backbone's first primitives where the scene is, and begin with the response that is told.
 
-    ``seen.nuisances`` begin, too. Where a method wants its ``initial_radiance`` of the points, ln radiance is
-    their colour (HDR-GS). Raises what ``initial_points`` raises.
+    ``nuisances`` begin, too. Where a method wants its ``initial_radiance`` of the points, ln radiance is
+    their colour (HDR-GS). Notes in ``state`` whence they are, and before which depths nothing is. Raises what
+    ``initial_points`` raises.
     """
+    plan, method, merged = state.plan, state.method, state.data.merged
+    config, seen = plan.config, plan.seen
     # Only views under the standard light say how bright a point is at level 1.
     standard = [(v, e) for v, e in zip(seen.views, seen.exposures, strict=True) if v.is_standard]
     views, exposures = [v for v, _ in standard], [e for _, e in standard]
@@ -76,23 +50,22 @@ def begin(method: Method, seen: Seen, config: TrainConfig) -> Begun:
         response,
         source=config.initial_points,
         random_count=config.random_points,
-        budget=budget_of(config),
+        budget=plan.backbone.budget,
         seed=config.seed,
     )
     message, positions = points.message, points.positions
     cameras = [view.camera for view in views]
     if not points.are_random and (warning := too_near(seen.scene.root, positions, cameras)):
         message += f", {warning.removesuffix('.')}"
-    if seen.merged is not None:
-        message += f", brackets merged (noise of {seen.merged.worst:.1f} codes of 255)"
-    clearance = None
-    if _wants(config.clear_cameras, seen, config):
-        clearance = clearances(positions, [view.camera for view in seen.views])
-    if _wants(config.far_shell, seen, config) and config.method.traits.initial_radiance == "merged":
+    if merged is not None:
+        message += f", brackets merged (noise of {merged.worst:.1f} codes of 255)"
+    if plan.clears_cameras:
+        state.clearance = clearances(positions, [view.camera for view in seen.views])
+    if plan.far_shell:
         far = far_points(positions, views)
         positions = np.concatenate([positions, far])
         message += f", {len(far):,} far away where these leave pictures uncovered"
-    told = _told_by(positions, response, seen, config, asks_response=by == BY_SRGB)
+    told = _told_by(positions, response, seen, nuisances, asks_response=by == BY_SRGB)
     if isinstance(told, Untold):
         message += f", no photometric estimate from the points ({told.reason})"
         told = None
@@ -103,40 +76,32 @@ def begin(method: Method, seen: Seen, config: TrainConfig) -> Begun:
     radiance = points.colours if config.method.traits.initial_radiance == "points" else None
     if radiance is None:
         radiance = merged_log_radiance(positions, views, exposures, response, seen.range)
-    if seen.nuisances is not None:
-        radiance = radiance - seen.nuisances.begin(positions, told)
+    if nuisances is not None:
+        radiance = radiance - nuisances.begin(positions, told)
     start = Start(
         opacity=config.initial_opacity,
-        thickness=config.initial_thickness if lie_on_surfaces(seen.scene, config) else 1.0,
-        largest=_largest_sizes(positions, views, seen.scene, config),
+        thickness=config.initial_thickness if lie_on_surfaces(plan) else 1.0,
+        largest=_largest_sizes(positions, views, plan),
         seed=config.seed,
     )
     method.backbone.place(positions, radiance, start)
-    return Begun(message, clearance)
+    state.start_message = message
 
 
-def may_have_strays(scene: Scene, config: TrainConfig) -> bool:
-    """Whether ``scene`` is begun from points that may stand alone: those of structure from motion."""
-    return _given_origin(scene, config) == STRUCTURE_FROM_MOTION
+def may_have_strays(plan: Plan) -> bool:
+    """Whether primitives begin at points that may stand alone: those of structure from motion."""
+    return plan.points_origin == STRUCTURE_FROM_MOTION
 
 
-def lie_on_surfaces(scene: Scene, config: TrainConfig) -> bool:
-    """Whether ``scene`` is begun from points whose neighbours tell how the surface lies: exact ones."""
-    return _given_origin(scene, config) == EXACT
+def lie_on_surfaces(plan: Plan) -> bool:
+    """Whether primitives begin at points whose neighbours tell how the surface lies: exact ones."""
+    return plan.points_origin == EXACT
 
 
-def _given_origin(scene: Scene, config: TrainConfig) -> str:
-    """What kind the data set's points are, where ``config`` begins with them; "" where not, or not known."""
-    uses_given = config.initial_points in ("auto", "both", "file")
-    return scene.points.origin if uses_given and scene.points is not None else ""
-
-
-def _largest_sizes(
-    positions: np.ndarray, views: list[View], scene: Scene, config: TrainConfig
-) -> np.ndarray | None:
+def _largest_sizes(positions: np.ndarray, views: list[View], plan: Plan) -> np.ndarray | None:
     """``[P]`` metres that no Gaussian begins larger than; None: no bound."""
-    share = config.initial_size_limit
-    if not (share and may_have_strays(scene, config)):
+    share = plan.config.initial_size_limit
+    if not (share and may_have_strays(plan)):
         return None
     return largest_sizes(positions, [view.camera for view in views], share)
 
@@ -162,17 +127,11 @@ def _response_by_points(mapper: Response, told: Photometry | None, seen: Seen) -
 
 
 def _told_by(
-    points: np.ndarray, response: Response, seen: Seen, config: TrainConfig, *, asks_response: bool
+    points: np.ndarray, response: Response, seen: Seen, nuisances: Nuisances | None, *, asks_response: bool
 ) -> Photometry | Untold | None:
     """What points ``[P, 3]`` (metres) tell of the photos, or why nothing; None where nobody asks."""
-    nuisances = seen.nuisances
     if nuisances is None and asks_response:
         # Where none are learned, none explain what photos disagree about.
         stops = NO_STOPS, NO_STOPS
         nuisances = Nuisances(seen.views, seen.exposures, torch.device("cpu"), stops=stops)
     return None if nuisances is None else nuisances.told_by(points, response)
-
-
-def _wants(setting: Switch, seen: Seen, config: TrainConfig) -> bool:
-    """Whether what photographs need is done; published methods stay as they were published."""
-    return setting == "on" or (setting == "auto" and seen.scene.photographs and config.method.traits.effects)
