@@ -3,46 +3,26 @@
 
     .venvs/backend/bin/python docs/example.py DATA OUT [ITERATIONS]
 
-The core of the preset ``default``: brackets, a learned response, growth, and lights that can be turned. Left
-out: points by stereo, half sizes at first, merged brackets, faults and poses of photographs, checkpoints.
+It begins as the preset ``default`` does: at the data set's points and those of stereo, with the response that
+the brackets show. The iteration is written out, to be changed: brackets, a learned response, growth, lights
+that can be turned. Left out: half sizes at first, the parts that photographs need, checkpoints.
 """
 
 import sys
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from physhdr.backend.methods.base import Drawn, Facts
+from physhdr.backend.methods.base import Drawn
 from physhdr.backend.methods.losses import LossConfig, reconstruction_loss
 from physhdr.backend.methods.physhdr import PhysHDR
-from physhdr.backend.methods.physhdr_common import PhysHDRConfig
-from physhdr.backend.model.backbone import Start
-from physhdr.backend.model.gaussians import Gaussians
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import write_exr, write_png
 from physhdr.backend.scene.scene import Scene, View
-from physhdr.backend.start.initialise import merged_log_radiance, scene_extent
-from physhdr.backend.start.response import bracket_response, display_response
-from physhdr.backend.train.densify import GaussianGrowth, GaussiansConfig
-from physhdr.backend.train.optimisers import Optimiser, OptimiserConfig
-
-RANGE = (-12.0, 12.0)  # of ln radiance
-
-
-def begin(scene: Scene, exposures: list[tuple[int, ...]]) -> PhysHDR:
-    """Gaussians at the data set's points, as bright as the brackets say, and the response that they show."""
-    assert scene.points is not None
-    config, anchor = PhysHDRConfig(), scene.response_anchor
-    backbone = Gaussians(attributes=config.attributes(scene.lights))
-    method = PhysHDR(config, backbone, Facts(anchor, lights=scene.lights, log_radiance_range=RANGE))
-    response = bracket_response(scene.train, exposures, anchor) or display_response(anchor)
-    method.tone_mapper.begin_with(*response)
-    positions = scene.points.positions.astype(np.float64)
-    log_radiance = merged_log_radiance(positions, scene.train, exposures, method.tone_mapper, RANGE)
-    backbone.place(positions, log_radiance, Start(opacity=0.3))
-    return method
+from physhdr.backend.train.begin import begin
+from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.growing import Growing
 
 
 def draw(method: PhysHDR, view: View, levels: tuple[float, ...], sh_degree: int = 3) -> Drawn:
@@ -55,27 +35,23 @@ def draw(method: PhysHDR, view: View, levels: tuple[float, ...], sh_degree: int 
     return Drawn(splats, rasterize(*shapes, colours, view.camera, screen_offsets=offsets), offsets)
 
 
-def train(scene: Scene, iterations: int, seed: int = 0) -> PhysHDR:
-    """Fit the training views and those under other light, at every second exposure."""
-    torch.manual_seed(seed)
-    views = scene.train + scene.lit
-    exposures = [tuple(k for k, place in enumerate(view.bracket) if place % 2 == 0) for view in views]
-    method = begin(scene, exposures[: len(scene.train)])
-    optimiser = Optimiser(method, OptimiserConfig(), scene_extent(scene.train), iterations)
-    growth = GaussianGrowth(method, optimiser, GaussiansConfig(), iterations, seed=(seed,))
+def train(scene: Scene, iterations: int) -> PhysHDR:
+    """Fit the training views and those under other light, at the exposures that training may see."""
+    state = begin(scene, TrainConfig(iterations=iterations, nuisances="off", poses="off"))
+    method, growing = state.method, state.part(Growing)
+    assert isinstance(method, PhysHDR) and growing is not None
     for iteration in range(iterations):
-        at = int(np.random.default_rng([seed, iteration]).integers(len(views)))
-        view = views[at]
+        view, indices = state.draw(iteration)
         drawn = draw(method, view, view.lighting_levels, sh_degree=min(iteration // 150, 3))
         losses = []
-        for k in exposures[at]:  # one rendering, developed as each exposure records it
-            developed, _ = method.tone_mapper.tone_map(drawn.rasterization.image * view.exposures[k], None)
-            picture = torch.tensor(view.values(k), dtype=torch.float32).permute(2, 0, 1).contiguous()
-            losses.append(reconstruction_loss(developed, picture, LossConfig()))
+        for k in indices:  # one rendering, developed as each exposure records it
+            taken = state.data.recording(view, k)
+            developed, _ = method.tone_mapper.tone_map(drawn.rasterization.image * taken.exposure, None)
+            losses.append(reconstruction_loss(developed, taken.picture, LossConfig()))
         torch.stack(losses).mean().backward()
-        growth.observe(drawn, view.camera, iteration)
-        optimiser.step(iteration)
-        growth.control(iteration + 1)
+        growing.growth.observe(drawn, view.camera, iteration)
+        state.optimiser.step(iteration)
+        growing.growth.control(iteration + 1)
     return method
 
 
