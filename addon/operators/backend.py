@@ -28,7 +28,7 @@ class PHYSHDR_OT_backend_install(PhysHDROperator):
     """Make an environment of its own for the trainer and install torch and what else it needs there"""
 
     bl_idname = "physhdr.backend_install"
-    bl_label = "Install Backend"
+    bl_label = "Get the Trainer"
     action = "install"
 
     python: bpy.props.StringProperty(

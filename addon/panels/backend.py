@@ -12,12 +12,18 @@ from ..session.pythons import is_ours
 from ..session.state import ENDING, State
 from .parts import ICON, Subpanel, button, reasons, shortened, write
 
+#: The first way in, and what it downloads: for the processor, on an ordinary line.
+TRAINS = "Train from photos, or from this scene. The trainer is 1.8 GB, once, about 3 minutes"
+#: Of the first screen's buttons, in those of others.
+TALL = 1.4
+
 
 class PHYSHDR_MT_backend(bpy.types.Menu):
     bl_label = "Another Backend"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout_of(self).operator("physhdr.backend_install", text="Install Again…", icon="IMPORT")
+        if session().state.backend.ready:
+            layout_of(self).operator("physhdr.backend_install", text="Install Again…", icon="IMPORT")
         layout_of(self).operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
 
 
@@ -31,15 +37,7 @@ class _Backend(Subpanel):
         if state.backend.ready:
             self._draw_ready(context, layout, state)
         else:
-            write(context, layout, "Training needs torch, in a Python of its own beside Blender")
-            row = layout.row(align=True)
-            button(context, row, state, "install", "physhdr.backend_install", "Install…", "IMPORT")
-            button(context, row, state, "use_python", "physhdr.backend_use", "Use Python…", "FILEBROWSER")
-            if state.backend.python:
-                button(context, layout, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
-            reasons(context, layout, state, "install")
-            if state.backend.incomplete:
-                draw_extend(context, layout, state)
+            draw_first(context, layout, state)
         if state.link.status == "off":
             if state.link.pid:
                 text = f"Process {state.link.pid} {silence(state.link)}"
@@ -76,6 +74,8 @@ class _Backend(Subpanel):
 class PHYSHDR_PT_backend(_Backend, bpy.types.Panel):
     """First of all, while there is none that works."""
 
+    bl_label = "Start Here"
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return not session().state.backend.ready
@@ -95,6 +95,27 @@ class PHYSHDR_PT_backend_ready(_Backend, bpy.types.Panel):
         state = session().state
         if state.backend.missing or warnings_of(state.backend.report) or is_of_others(state):
             layout_of(self).label(text="", icon="ERROR")
+
+
+def draw_first(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """The two ways in: one needs the trainer, the other nothing."""
+    write(context, layout, TRAINS)
+    row = layout.row(align=True)
+    row.scale_y = TALL
+    button(context, row, state, "install", "physhdr.backend_install", "Get the Trainer…", "IMPORT")
+    row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
+    reasons(context, layout, state, "install")
+    if not bpy.app.online_access and hasattr(bpy.types, "EXTENSIONS_OT_userpref_allow_online"):
+        layout.operator("extensions.userpref_allow_online", text="Allow Online Access", icon="CHECKMARK")
+    if state.backend.python:
+        button(context, layout, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
+    if state.backend.incomplete:
+        draw_extend(context, layout, state)
+    layout.separator()
+    write(context, layout, "Look at a splat, relight and render it: needs no trainer")
+    row = layout.row()
+    row.scale_y = TALL
+    row.operator("physhdr.model_import", text="Open a Splat…", icon="OUTLINER_OB_POINTCLOUD")
 
 
 def is_of_others(state: State) -> bool:

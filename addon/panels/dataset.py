@@ -24,7 +24,8 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
             self._draw_photos(context, layout.box(), state, photos)
         column = layout.column(align=True)
         text = "Prepare Other Photos…" if photos else "Prepare Photos…"
-        button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
+        if state.backend.ready:
+            button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
         text = "Render from This Scene…"
         button(context, column, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
         dataset_dialog.draw_in_panel(context, column)

@@ -27,6 +27,10 @@ from .parts import Subpanel, write
 class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
     bl_label = "Illumination"
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return session().state.backend.ready or has_model(context.scene)
+
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, layout_of(self), context.scene.physhdr
         shown = followed(context.scene, context.view_layer, state.job)

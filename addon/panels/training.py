@@ -26,6 +26,10 @@ LABEL = 0.4
 class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
     bl_label = "Training"
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return session().state.backend.ready
+
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, layout_of(self), context.scene.physhdr
         column = layout.column()

@@ -74,7 +74,7 @@ def headline(state: State, choices: Choices | None = None) -> str:
         if state.task(name) and not state.active:
             return words
     if not state.backend.ready:
-        return "The backend failed its check" if state.backend.problem else "No backend yet"
+        return "The backend failed its check" if state.backend.problem else "No trainer yet"
     if state.link.barred:
         return ENDING.message if state.link.barred == ENDING else "Another version's backend is running"
     if state.link.problem:
@@ -99,7 +99,7 @@ def next_step(state: State, choices: Choices) -> str:
             return "Add what is missing, or use another Python"
         if state.backend.problem:
             return "See its log, then install it again or use another Python"
-        return "Install the backend, or use a Python that has torch"
+        return "Get the trainer, or open a splat"
     if state.task(DATASET) or state.task(LOOK) or state.task(PHOTOS):
         return ""
     job = state.job

@@ -65,7 +65,7 @@ def working_python(candidate: str) -> Path | None:
 
 
 def is_ours(home: Path, python: str) -> bool:
-    """Whether ``python`` is of an environment that *Install…* made in the backend's folder."""
+    """Whether ``python`` is of an environment that *Get the Trainer* made in the backend's folder."""
     path = Path(python)
     return python != "" and any(
         parent.parent == home and parent.name.startswith(ENVIRONMENT) for parent in path.parents
