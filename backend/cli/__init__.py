@@ -11,6 +11,9 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from functools import reduce
+from importlib import import_module
+from operator import or_
 from typing import Annotated, Any
 
 from ...bridge.errors import FileMissingError
@@ -25,6 +28,19 @@ __all__ = ["main"]
 #: What an interrupted command ends with, and one whose reader has gone, as shells have it.
 INTERRUPTED = 130
 UNREAD = 141
+#: Module and dataclass of each command. Only the one that is called is imported: others need seconds.
+COMMANDS = {
+    "train": "train.Train",
+    "evaluate": "evaluate.Evaluate",
+    "export": "export.Export",
+    "calibrate": "calibrate.Calibrate",
+    "render": "render.Render",
+    "prepare": "prepare.Prepare",
+    "synthesise": "synthesise.Synthesise",
+    "inspect": "inspect.Inspect",
+    "serve": "serve.Serve",
+    "check": "check.Check",
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -155,39 +171,20 @@ def _command(argv: list[str]) -> Any:
     """The command as its dataclass, filled from ``argv``."""
     import tyro
 
-    from .serve import Serve
+    name = argv[0] if argv else ""
+    if name == "synthesise":  # what comes after its two dashes is another program's
+        from .synthesise import parsed
 
-    if argv[:1] == ["serve"]:  # parsed without the others, which import torch: it must answer at once
-        return tyro.cli(Serve, prog="physhdr serve", args=argv[1:])
-    from .synthesise import Synthesise, parsed
-
-    if argv[:1] == ["synthesise"]:  # what comes after its two dashes is another program's
         return parsed(argv[1:])
-    from .export import Export
-
-    if argv[:1] == ["export"]:  # without the others, which take seconds to import torch
-        return tyro.cli(Export, prog="physhdr export", args=argv[1:])
-    from .calibrate import Calibrate
-    from .check import Check
-    from .evaluate import Evaluate
-    from .inspect import Inspect
-    from .prepare import Prepare
-    from .render import Render
-    from .train import Train
-
-    commands: Any = (
-        Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-        | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
-        | Annotated[Render, tyro.conf.subcommand("render")]
-        | Annotated[Prepare, tyro.conf.subcommand("prepare")]
-        | Annotated[Synthesise, tyro.conf.subcommand("synthesise")]
-        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-        | Annotated[Serve, tyro.conf.subcommand("serve")]
-        | Annotated[Check, tyro.conf.subcommand("check")]
-    )
+    if name in COMMANDS:
+        return tyro.cli(_options_of(name), prog=f"physhdr {name}", args=argv[1:])
     added: Table[Any] = Table("commands", {})
-    for name, command in added.items():
-        commands |= Annotated[command, tyro.conf.subcommand(name)]
-    return tyro.cli(commands, prog="physhdr", description=__doc__, args=argv)
+    commands = {name: _options_of(name) for name in COMMANDS} | dict(added)
+    each = (Annotated[options, tyro.conf.subcommand(name)] for name, options in commands.items())
+    return tyro.cli(reduce(or_, each), prog="physhdr", description=__doc__, args=argv)
+
+
+def _options_of(name: str) -> Any:
+    """The dataclass of a command's options."""
+    module, _, options = COMMANDS[name].partition(".")
+    return getattr(import_module(f"{__name__}.{module}"), options)

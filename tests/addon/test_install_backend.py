@@ -226,6 +226,7 @@ def test_torch_comes_from_pytorchs_index_alone_and_all_else_by_the_users_setting
     assert len(environments(place)) == 1 and environments(place) != [made]
 
 
+@pytest.mark.long
 def test_what_a_new_version_needs_is_added_and_torch_is_not_downloaded_again(place):
     """As an environment of before photos were prepared in Blender: pycolmap is new, the rest is there."""
     former = place.installed()
@@ -287,6 +288,7 @@ def test_an_installation_anew_that_fails_leaves_the_former_environment_as_it_was
     assert place.install("cpu", "--fresh")[0] == 0 and environments(place) == [former]
 
 
+@pytest.mark.long
 def test_the_former_environment_serves_until_the_new_one_has_passed_its_check(place):
     """Blender goes on with it, whatever the check of another version's, or of the same anew, ends with."""
     former = place.installed()
@@ -354,6 +356,7 @@ def test_a_pin_without_a_hash_is_refused(place):
     assert status == 1 and "error" in said[-1] and environments(place) == []
 
 
+@pytest.mark.long
 def test_the_users_own_torch_brings_its_libraries_by_the_lock(place):
     status, said, log = place.install("pip", PIP_EXTRA_INDEX_URL="")
     assert status == 0, log

@@ -29,7 +29,13 @@ def files(out: Path) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("where", [["--jobs", "2"], ["--ray", "local", "--parts", "2"]], ids=["here", "ray"])
+@pytest.mark.parametrize(
+    "where",
+    [
+        pytest.param(["--jobs", "2"], id="here"),
+        pytest.param(["--ray", "local", "--parts", "2"], id="ray", marks=pytest.mark.long),
+    ],
+)
 def test_parts_make_the_same_data_set(one, tmp_path, capsys, where):
     if "--ray" in where:
         pytest.importorskip("ray")

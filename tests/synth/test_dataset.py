@@ -2,7 +2,6 @@
 """The folder is what docs/formats.md says, resumes, and is never half written."""
 
 import hashlib
-import importlib.util
 import json
 import pickle
 import shutil
@@ -19,11 +18,7 @@ from physhdr.bridge import data_set
 from physhdr.synth import dataset, folder, passes, plan, renderer
 from physhdr.synth.camera_model import CameraModel
 from physhdr.synth.errors import ConflictError, DamagedFileError, NotFiniteRenderError, OutputFolderError
-
-# --import-mode=importlib: the readers live in this folder's conftest
-_spec = importlib.util.spec_from_file_location("synth_readers", Path(__file__).with_name("conftest.py"))
-readers = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(readers)
+from physhdr.tests.synth import conftest as readers
 
 ROOT = Path(__file__).parents[2]
 T = [0.125, 0.5, 2.0, 8.0, 32.0]

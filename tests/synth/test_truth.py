@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Truth with samples of its own: what it is the sum of, how it is checked, kept and taken again."""
 
-import importlib.util
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,12 +23,7 @@ from physhdr.synth.progress import Report
 from physhdr.synth.renderer import Renderer, renderer
 from physhdr.synth.response import by_name
 from physhdr.synth.truth import TruthRenderer, passes_of
-
-# --import-mode=importlib: the readers live in this folder's conftest
-_spec = importlib.util.spec_from_file_location("synth_readers", Path(__file__).with_name("conftest.py"))
-_readers = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_readers)
-read_png = _readers.read_png
+from physhdr.tests.synth.conftest import read_png
 
 
 @pytest.fixture

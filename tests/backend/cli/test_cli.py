@@ -343,7 +343,7 @@ def test_without_standard_streams_the_exit_status_is_right(words, status):
         "train data --out run --threads 100000",
         "serve --home home --threads 100000",
         "prepare photos data --threads 100000",
-        "triangulate . --threads 100000",
+        "prepare . --triangulate --threads 100000",
         "render run --out a.exr --workers 100000",
         "synthesise --threads-per-job 100000 -- --out data",
         "benchmark --out b --scenes data --methods fast --budget iterations=1 --threads-per-job 100000",

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr export``: what is refused before anything is read or written, and how bright its files are."""
 
-import importlib.util
 import json
 import math
 from pathlib import Path
@@ -22,16 +21,7 @@ from physhdr.bridge.messages import PreviewCamera, PreviewRequest
 from physhdr.bridge.model_file import photographed_ev, read_model
 from physhdr.bridge.spherical_harmonics import C0
 from physhdr.bridge.splat_files import read_splat_file
-
-
-@pytest.fixture(scope="session")
-def layouts():
-    spec = importlib.util.spec_from_file_location(
-        "layouts", Path(__file__).parents[1] / "scene" / "layouts.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from physhdr.tests.backend.scene import layouts
 
 
 @pytest.mark.parametrize("exposure_ev", [2000.0, -31.0, float("inf"), float("nan")])
@@ -41,7 +31,7 @@ def test_an_exposure_beyond_all_pictures_is_refused(tmp_path: Path, exposure_ev:
 
 
 @pytest.fixture(scope="module")
-def photographs(tmp_path_factory, layouts):
+def photographs(tmp_path_factory):
     """A run of 20 iterations on photographs of 1/250, 1/60 and 1/15 s."""
     folder = tmp_path_factory.mktemp("photographs")
     data = layouts.write_colmap(folder / "data", exif=False)

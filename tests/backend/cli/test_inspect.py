@@ -3,14 +3,12 @@
 
 import dataclasses
 import hashlib
-import importlib.util
 import io
 import json
 import math
 import shutil
 import sys
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,8 +20,9 @@ from physhdr.backend.inspect import inspect
 from physhdr.backend.runs.terminal import console
 from physhdr.backend.scene.pictures import read_exr, write_exr
 from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
-from physhdr.bridge.errors import PhysHDRError
+from physhdr.bridge.errors import DataMismatchError
 from physhdr.lab.benchmark.facts import scene_line
+from physhdr.tests.backend.scene import layouts
 
 
 @pytest.fixture(autouse=True)
@@ -303,28 +302,19 @@ KEYS += ["lighting_levels", "frames", "dynamic_range", "scene", "exposures", "ve
 
 
 @pytest.mark.parametrize("key", KEYS)
-def test_nonsense_in_dataset_json_ends_in_no_traceback(data, key, capsys):
+def test_nonsense_in_dataset_json_ends_in_no_traceback(data, key, capsys, monkeypatch):
     whole = json.loads((data / "dataset.json").read_text())
     for junk in JUNK:
         (data / "dataset.json").write_text(json.dumps({**whole, key: junk}))
-        # One is reported at length, several in a table.
-        for folders in ((data,), (data, data / "nowhere")):
-            with suppress(PhysHDRError):  # of the folder that is not there
+        found = inspect(data)
+        monkeypatch.setattr(f"{Inspect.__module__}.inspect", lambda *_, found=found: found)
+        for folders in ((data,), (data, data)):  # one is reported at length, several in a table
+            with suppress(DataMismatchError):  # it names faults
                 Inspect(folders).run()
             assert "32×32" in capsys.readouterr().out
 
 
 # ---- other layouts -----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def layouts():
-    """The writers of all the layouts, beside the readers' tests."""
-    path = Path(__file__).parents[1] / "scene" / "layouts.py"
-    spec = importlib.util.spec_from_file_location("layouts", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.mark.parametrize(
@@ -338,7 +328,7 @@ def layouts():
         ("write_nerfstudio", "nerfstudio", "8 1", [0], ["exp1"], False),
     ],
 )
-def test_every_layout_is_told(layouts, tmp_path, capsys, writer, layout, splits, places, modes, truth):
+def test_every_layout_is_told(tmp_path, capsys, writer, layout, splits, places, modes, truth):
     root = getattr(layouts, writer)(tmp_path / "scene")
     assert main(["inspect", str(root), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[0])["found"]
@@ -359,7 +349,7 @@ def test_every_layout_is_told(layouts, tmp_path, capsys, writer, layout, splits,
     assert layout in printed and "split" in printed and "exposure modes" in printed
 
 
-def test_missing_exposures_and_a_smaller_size_are_told(layouts, tmp_path, capsys):
+def test_missing_exposures_and_a_smaller_size_are_told(tmp_path, capsys):
     root = layouts.write_gausshdr(tmp_path / "coffee", {i: (1, 3) for i in range(5)}, "jpg")
     assert main(["inspect", str(root), "--downscale", "2"]) == 0
     printed = capsys.readouterr().out
@@ -370,7 +360,7 @@ def test_missing_exposures_and_a_smaller_size_are_told(layouts, tmp_path, capsys
     assert inspect(root).messages[-1] == "exposures are missing: 2 in 1 of 5 poses"
 
 
-def test_faults_of_other_layouts_are_all_named(layouts, tmp_path, capsys):
+def test_faults_of_other_layouts_are_all_named(tmp_path, capsys):
     root = layouts.write_gausshdr(tmp_path / "sofa")
     for name in ("train_r_0_1.png", "test_r_3_4.png"):
         path = root / "images" / name
@@ -386,7 +376,7 @@ def test_faults_of_other_layouts_are_all_named(layouts, tmp_path, capsys):
     assert len(found.errors) == 1 and "cameras.bin is damaged" in found.errors[0] and found.splits == {}
 
 
-def test_the_readers_remedy_is_told(layouts, tmp_path, capsys):
+def test_the_readers_remedy_is_told(tmp_path, capsys):
     """Not "make the data set again", which nobody can of photographs."""
     root = layouts.write_colmap(tmp_path / "scene", exif=False)
     assert main(["inspect", str(root)]) == 1
@@ -398,7 +388,7 @@ def test_the_readers_remedy_is_told(layouts, tmp_path, capsys):
     assert len(found["errors"]) == len(found["remedies"]) == 1 and "exposure.json" in found["remedies"][0]
 
 
-def test_faults_of_different_kinds_have_their_own_remedies(layouts, tmp_path, capsys):
+def test_faults_of_different_kinds_have_their_own_remedies(tmp_path, capsys):
     root = layouts.write_nerfstudio(tmp_path / "scene")
     for k in (0, 1):
         path = root / "images" / f"frame_0000{k}.png"
@@ -413,7 +403,7 @@ def test_faults_of_different_kinds_have_their_own_remedies(layouts, tmp_path, ca
     assert captured.out.count("Delete it and make the data set again") == 1
 
 
-def test_radiance_is_inspected_in_the_colour_space_that_training_is_told(layouts, tmp_path):
+def test_radiance_is_inspected_in_the_colour_space_that_training_is_told(tmp_path):
     root = layouts.write_nerfstudio(tmp_path / "shot")
 
     def of_radiance(content):
@@ -428,13 +418,13 @@ def test_radiance_is_inspected_in_the_colour_space_that_training_is_told(layouts
     assert "Choose from" in inspect(root, color_space="mauve").remedies[0]
 
 
-def test_no_points_is_a_warning(layouts, tmp_path):
+def test_no_points_is_a_warning(tmp_path):
     found = inspect(layouts.write_nerfstudio(tmp_path / "scene"))
     (warning,) = [warning for warning in found.warnings if "no first points" in warning]
     assert found.points is None and "stereo" in warning and "physhdr prepare --triangulate" in warning
 
 
-def test_photos_of_automatic_exposure_are_a_bracket_over_the_views(layouts, tmp_path):
+def test_photos_of_automatic_exposure_are_a_bracket_over_the_views(tmp_path):
     root = layouts.write_nerfstudio(tmp_path / "walk")
 
     def metered(content):
@@ -450,7 +440,7 @@ def test_photos_of_automatic_exposure_are_a_bracket_over_the_views(layouts, tmp_
     assert same.over_views == 0.0 and any("one exposure only" in warning for warning in same.warnings)
 
 
-def test_the_size_in_the_middle_is_told_and_that_there_are_others(layouts, tmp_path, capsys):
+def test_the_size_in_the_middle_is_told_and_that_there_are_others(tmp_path, capsys):
     """The first view alone is a thumbnail."""
     root = layouts.write_nerfstudio(tmp_path / "phone")
     path = root / "images" / "frame_00000.png"
@@ -468,13 +458,13 @@ def test_the_size_in_the_middle_is_told_and_that_there_are_others(layouts, tmp_p
     assert "96×72, the middle one of 2 sizes" in capsys.readouterr().out
 
 
-def test_of_photographs_training_sees_all_exposures(layouts, tmp_path):
+def test_of_photographs_training_sees_all_exposures(tmp_path):
     root = layouts.write_gausshdr(tmp_path / "photos")
     (root / CAPTURE_FILE).write_text(json.dumps({"format": CAPTURE_FORMAT, "version": 1}))
     assert {exposure.use for exposure in inspect(root).exposures} == {"OE"}
 
 
-def test_of_published_photographs_the_exposures_between_are_for_evaluation(layouts, tmp_path):
+def test_of_published_photographs_the_exposures_between_are_for_evaluation(tmp_path):
     root = layouts.write_gausshdr(tmp_path / "photos")
     assert [exposure.use for exposure in inspect(root).exposures] == ["OE", "NE", "OE", "NE", "OE"]
 

@@ -397,6 +397,7 @@ def test_raw_brackets_become_linear_pictures_that_clip_at_one(room, dng, capture
         assert np.median(found[clipped], initial=1.0) == 1.0 if clipped.any() else True
 
 
+@pytest.mark.long
 def test_heic_and_jpeg_of_a_phone_are_one_capture(room, heic, capture, tmp_path, capsys):
     """Each photo's HEIC is exact, a third of them are JPEG, one has both, one was not copied to its end."""
     folder = tmp_path / "phone"

@@ -3,7 +3,6 @@
 
 import base64
 import hashlib
-import importlib.util
 import json
 import os
 import re
@@ -25,11 +24,7 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError, OutputError
 from physhdr.bridge.gaussian_ply import write_standard_ply
 from physhdr.bridge.model_file import Model, write_model
-
-_spec = importlib.util.spec_from_file_location("of_quantised", Path(__file__).parent / "test_quantised.py")
-of_quantised = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(of_quantised)
-some_model = of_quantised.some_model
+from physhdr.tests.backend.export.test_quantised import some_model
 
 
 def facts_of(html: str) -> dict:

@@ -12,8 +12,8 @@ from physhdr.backend.kernels.activations import (
     lit_colours,
     lit_colours_reference,
 )
-from physhdr.backend.rasterize import cpu
 from physhdr.backend.simd import LANES, exp, load, load_triples, store, store_triples
+from physhdr.tests.backend.threads import assert_same_bits
 
 
 def gaussians(count, lights, channels, seed=0):
@@ -92,17 +92,12 @@ def test_not_a_number_stays_one(which, place):
 
 
 def test_threads():
-    before = cpu.thread_count()
-    outcomes = []
-    try:
-        for threads in (1, 2, 3):
-            cpu.set_threads(threads)
-            inputs = [t.requires_grad_() for t in gaussians(5003, 2, 3)]
-            colours, deviation = lit_colours(*inputs, (0.3, 2.0))
-            outcomes.append([colours, deviation, *torch.autograd.grad(colours.square().sum(), inputs)])
-    finally:
-        cpu.set_threads(before)
-    assert all(torch.equal(a, b) for other in outcomes[1:] for a, b in zip(outcomes[0], other, strict=True))
+    def lit():
+        inputs = [t.requires_grad_() for t in gaussians(5003, 2, 3)]
+        colours, deviation = lit_colours(*inputs, (0.3, 2.0))
+        return [colours, deviation, *torch.autograd.grad(colours.square().sum(), inputs)]
+
+    assert_same_bits(lit)
 
 
 def test_exponential_and_triples():

@@ -9,7 +9,7 @@ import torch
 from physhdr.backend import kernels
 from physhdr.backend.kernels.activations import LOG_RADIANCE_RANGE
 from physhdr.backend.model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
-from physhdr.backend.rasterize import cpu
+from physhdr.tests.backend.threads import assert_same_bits
 
 #: ln(exposure × radiance) from nothing at all to the brightest radiance for 10,000 seconds.
 DARKEST, BRIGHTEST = math.log(LOG_EPSILON), LOG_RADIANCE_RANGE[1] + math.log(1e4)
@@ -38,19 +38,6 @@ def compare(function, tensors, value=2e-6, gradient=1e-5):
             error = (a - b).norm() / b.norm().clamp_min(1e-9)
             assert error <= (gradient if i else value), f"result {i} is off by {error:.1e}"
     return ours
-
-
-def same_bits_for_threads(function):
-    before = cpu.thread_count()
-    try:
-        outcomes = []
-        for threads in (1, 2, 3):
-            cpu.set_threads(threads)
-            outcomes.append(function())
-    finally:
-        cpu.set_threads(before)
-    for other in outcomes[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(outcomes[0], other, strict=True))
 
 
 def with_gradients(function, *tensors):
@@ -167,7 +154,7 @@ def test_network_whose_units_are_all_dead():
 @pytest.mark.parametrize("points", [1, 4095, 4097])  # around a chunk
 def test_networks_have_the_same_bits_for_any_number_of_threads(points):
     weights = network_weights(5, 1)
-    same_bits_for_threads(
+    assert_same_bits(
         lambda: with_gradients(lambda *t: kernels.small_mlp(*t, "relu"), random(5, points), *weights)
     )
 
@@ -175,7 +162,7 @@ def test_networks_have_the_same_bits_for_any_number_of_threads(points):
 @pytest.mark.parametrize("activation", ["relu", "softplus"])
 def test_curves_have_the_same_bits_for_any_number_of_threads(activation):
     weights = curve_weights()
-    same_bits_for_threads(
+    assert_same_bits(
         lambda: with_gradients(lambda *t: kernels.curve_mlp(*t, activation), random(3, 40_000), *weights)
     )
 
@@ -232,10 +219,10 @@ def test_unused_coefficients_get_no_gradient():
 def test_spherical_harmonics_have_the_same_bits_for_any_number_of_threads(count):
     means, viewpoint = random(count, 3), torch.tensor([0.3, -2.0, 1.0])
     tensors = [random(count, 3, seed=1), random(count, 15, 3, seed=2)]
-    same_bits_for_threads(
+    assert_same_bits(
         lambda: with_gradients(lambda *t: kernels.evaluate_sh(*t, means, viewpoint, 3), *tensors)
     )
-    same_bits_for_threads(
+    assert_same_bits(
         lambda: with_gradients(lambda *t: kernels.evaluate_sh(*t, viewpoint, 3, True), *tensors, means)
     )
 
@@ -299,8 +286,8 @@ def test_blur_of_extreme_radiance():
 @pytest.mark.parametrize("shape", [(6, 67, 45), (3, 6, 6), (1, 33, 8)])
 def test_blur_and_ssim_have_the_same_bits_for_any_number_of_threads(shape):
     picture, target = random(*shape), torch.rand(shape, generator=torch.Generator().manual_seed(1))
-    same_bits_for_threads(lambda: with_gradients(lambda x: kernels.gaussian_blur(x, 11, 3.0), picture))
-    same_bits_for_threads(lambda: with_gradients(lambda x: kernels.ssim(x, target), picture))
+    assert_same_bits(lambda: with_gradients(lambda x: kernels.gaussian_blur(x, 11, 3.0), picture))
+    assert_same_bits(lambda: with_gradients(lambda x: kernels.ssim(x, target), picture))
 
 
 @pytest.mark.parametrize("order", ["channels last", "reversed", "every other"])

@@ -13,10 +13,10 @@ from physhdr.backend.kernels import SsimTarget, plain_torch, ssim_and_error
 from physhdr.backend.methods.base import Recording
 from physhdr.backend.methods.physhdr import DrawnRadiance, PhysHDR
 from physhdr.backend.model.tone_mapper import STEEPEST, ToneMapper, ToneMapperConfig
-from physhdr.backend.rasterize import cpu
 from physhdr.backend.scene.encoding import SRGB
 from physhdr.backend.simd import LANES, add_powers, load, load_quads, store
 from physhdr.backend.train.presets import PRESETS
+from physhdr.tests.backend.threads import assert_same_bits
 
 EXPOSURES = (0.125, 1.0, 1.0 / 30.0)
 
@@ -82,16 +82,9 @@ def test_against_float64(size, error, activation):
 def test_threads():
     mapper, (radiance, targets) = response(), pictures(150, 61)
     known = [SsimTarget(t) for t in targets]
-    before, outcomes = cpu.thread_count(), []
-    try:
-        for threads in (1, 2, 3):
-            cpu.set_threads(threads)
-            outcomes.append(
-                gradients(lambda m, x: m.bracket_errors(x, EXPOSURES, known, "l1"), mapper, radiance)
-            )
-    finally:
-        cpu.set_threads(before)
-    assert all(torch.equal(a, b) for other in outcomes[1:] for a, b in zip(outcomes[0], other, strict=True))
+    assert_same_bits(
+        lambda: gradients(lambda m, x: m.bracket_errors(x, EXPOSURES, known, "l1"), mapper, radiance)
+    )
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])

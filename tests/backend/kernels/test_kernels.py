@@ -7,8 +7,8 @@ import torch
 
 from physhdr.backend import kernels
 from physhdr.backend.kernels import curve_table
-from physhdr.backend.rasterize import cpu
 from physhdr.bridge.errors import BadValueError
+from physhdr.tests.backend.threads import assert_same_bits
 
 
 def random(*shape, seed=0, scale=1.0):
@@ -32,18 +32,6 @@ def assert_same(fused, twin, tensors, value=2e-6, gradient=1e-5):
             f"{'value' if i == 0 else f'gradient {i}'} off by {error:.1e}"
         )
     return results[0]
-
-
-def same_bits_for_threads(function):
-    before = cpu.thread_count()
-    try:
-        outcomes = []
-        for threads in (1, 2, 3):
-            cpu.set_threads(threads)
-            outcomes.append(function())
-    finally:
-        cpu.set_threads(before)
-    assert all(torch.equal(a, b) for other in outcomes[1:] for a, b in zip(outcomes[0], other, strict=True))
 
 
 # ---- SSIM ----------------------------------------------------------------------------------------
@@ -119,7 +107,7 @@ def test_ssim_threads():
         value.backward()
         return value.detach(), x.grad
 
-    same_bits_for_threads(run)
+    assert_same_bits(run)
 
 
 # ---- networks ------------------------------------------------------------------------------------
@@ -213,7 +201,7 @@ def test_networks_threads():
         gradients = torch.autograd.grad(output.square().sum() + response.square().sum(), inputs)
         return output.detach(), response.detach(), *gradients
 
-    same_bits_for_threads(run)
+    assert_same_bits(run)
 
 
 # ---- spherical harmonics -------------------------------------------------------------------------

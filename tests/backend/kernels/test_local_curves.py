@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from physhdr.backend import kernels
-from physhdr.backend.simd import set_threads, thread_count
+from physhdr.tests.backend.threads import assert_same_bits
 
 
 def inputs(branches, points, features, seed=0):
@@ -55,17 +55,13 @@ def test_is_one_network_a_channel_and_branch():
 
 
 def test_same_bits_for_any_number_of_threads():
-    tensors, before = inputs(2, 9000, 4), thread_count()
-    results = []
-    try:
-        for count in (1, 2, 3):
-            set_threads(count)
-            output, gradients = run(kernels.local_curves, tensors, torch.float32)
-            results.append([output.detach(), *gradients])
-    finally:
-        set_threads(before)
-    for other in results[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+    tensors = inputs(2, 9000, 4)
+
+    def computed():
+        output, gradients = run(kernels.local_curves, tensors, torch.float32)
+        return [output.detach(), *gradients]
+
+    assert_same_bits(computed)
 
 
 @pytest.mark.parametrize("error", ["l1", "mse"])

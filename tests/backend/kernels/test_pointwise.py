@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from physhdr.backend.kernels import pointwise
-from physhdr.backend.simd import set_threads, thread_count
+from physhdr.tests.backend.threads import assert_same_bits
 
 FUNCTIONS = {
     "log of exposure": (lambda x: pointwise.log_of_exposure(x, 1e-5), 1),
@@ -56,13 +56,6 @@ def test_nan_is_not_swallowed(name):
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_same_bits_for_any_number_of_threads(name):
     function, inputs = FUNCTIONS[name]
-    generator, before, results = torch.Generator().manual_seed(3), thread_count(), []
+    generator = torch.Generator().manual_seed(3)
     tensors = [torch.randn(5003, generator=generator) for _ in range(inputs)]
-    try:
-        for count in (1, 2, 3):
-            set_threads(count)
-            results.append(gradients(function, tensors, torch.float32))
-    finally:
-        set_threads(before)
-    for other in results[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+    assert_same_bits(lambda: gradients(function, tensors, torch.float32))

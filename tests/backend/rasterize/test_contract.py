@@ -11,6 +11,7 @@ from physhdr.backend.rasterize import cpu, rasterize
 from physhdr.backend.rasterize.cpu.projection import project
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError
+from physhdr.tests.backend.threads import assert_same_bits
 
 NAMES = ("means", "quaternions", "scales", "opacities", "colours", "screen_offsets")
 
@@ -170,17 +171,12 @@ def test_all_off_screen(implementation):
 def test_same_bits_for_any_number_of_threads():
     view = camera(150, 100)
     tensors = random_gaussians(3000, 6, view, seed=8)
-    before = cpu.thread_count()
-    try:
-        results = []
-        for threads in (1, 2, 3):
-            cpu.set_threads(threads)
-            result, gradients = draw_with_gradients("cpu", tensors, view, torch.float32)
-            results.append([result.image.detach(), result.alpha.detach(), result.radii, *gradients])
-    finally:
-        cpu.set_threads(before)
-    for other in results[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+    def drawn():
+        result, gradients = draw_with_gradients("cpu", tensors, view, torch.float32)
+        return [result.image.detach(), result.alpha.detach(), result.radii, *gradients]
+
+    assert_same_bits(drawn)
 
 
 @pytest.mark.parametrize("threads", [1, 3])

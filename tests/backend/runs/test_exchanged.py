@@ -2,7 +2,6 @@
 """Other pictures under a run, of the same names and sizes, or another list of its views: never silent."""
 
 import dataclasses
-import importlib.util
 import json
 import shutil
 from pathlib import Path
@@ -20,6 +19,7 @@ from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.trainer import run as train
 from physhdr.bridge.errors import DataMismatchError, FileMissingError
 from physhdr.bridge.run_folder import CHECKPOINT_FILE, VIEWS_FILE
+from physhdr.tests.backend.scene import layouts
 
 CONFIG = TrainConfig(iterations=8, initial_points="random", random_points=50)
 
@@ -32,10 +32,6 @@ def workshop(report=lambda line: None) -> Workshop:
 def begun(tmp_path_factory) -> Path:
     """``data``: photographs through a lens, each with a mask; ``run``: a training on them, stopped."""
     home = tmp_path_factory.mktemp("begun")
-    place = Path(__file__).parents[1] / "scene" / "layouts.py"
-    spec = importlib.util.spec_from_file_location("layouts", place)
-    layouts = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(layouts)
     layouts.write_nerfstudio(home / "data", masks=True, exposure_time=0.5, k1=0.02)
     words = {"typed": ["iterations"], "overwrite": False, "workshop": workshop()}
     with start_run(home / "data", home / "run", CONFIG, "default", **words) as (state, run):

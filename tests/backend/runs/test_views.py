@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``views.json``: what a run keeps of its data set, and what is made of a file that is damaged."""
 
-import importlib.util
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -20,15 +18,7 @@ from physhdr.backend.train.views import log_radiance_range
 from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from physhdr.bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, PhysHDRError
 from physhdr.bridge.run_folder import VIEWS_FILE, may_be_of, picture_names
-
-
-@pytest.fixture
-def layouts():
-    place = Path(__file__).parents[1] / "scene" / "layouts.py"
-    spec = importlib.util.spec_from_file_location("layouts", place)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from physhdr.tests.backend.scene import layouts
 
 
 @pytest.fixture
@@ -73,7 +63,7 @@ def names(views):
     return [view.name for view in views]
 
 
-def test_photographs_that_are_added_do_not_change_what_a_run_is_tested_on(layouts, tmp_path):
+def test_photographs_that_are_added_do_not_change_what_a_run_is_tested_on(tmp_path):
     """By the rule that chooses test views, some that were trained on would be tested from then on."""
     run, told = tmp_path / "run", []
     run.mkdir()

@@ -1,32 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures: small data sets in the documented layout."""
 
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-
-def _beside(name: str) -> ModuleType:
-    """The module ``name`` beside this file (test folders are not packages)."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from physhdr.tests.backend.scene import layouts as others
+from physhdr.tests.backend.scene import small_data_set
 
 
 @pytest.fixture(scope="session")
 def small() -> ModuleType:
     """The module ``small_data_set``: our own layout."""
-    return _beside("small_data_set")
+    return small_data_set
 
 
 @pytest.fixture(scope="session")
 def layouts() -> ModuleType:
     """The module ``layouts``: all the others."""
-    return _beside("layouts")
+    return others
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def test_a_checkout_that_was_moved_sets_up_anew(setup, tmp_path, monkeypatch):
     assert setup.fingerprint("python") != before
 
 
-def test_an_environment_of_another_place_or_one_half_made_is_made_anew(setup, environment, tmp_path):
+def test_an_environment_of_another_place_or_one_half_made_is_not_whole(setup, environment, tmp_path):
     assert setup.is_whole(environment)
     link = tmp_path / "link"
     link.symlink_to(environment)
@@ -94,11 +94,20 @@ def test_an_environment_of_another_place_or_one_half_made_is_made_anew(setup, en
     copy = tmp_path / "copy"
     shutil.copytree(environment, copy, symlinks=True)
     assert not setup.is_whole(copy)  # its scripts run the former's Python
-    # As ensurepip leaves it when it is interrupted.
-    half = tmp_path / ".venvs" / "backend"
+    assert not setup.is_whole(half_made(tmp_path)) and not setup.is_whole(tmp_path / "none")
+
+
+def half_made(folder: Path) -> Path:
+    """An environment as ensurepip leaves it when it is interrupted."""
+    half = folder / ".venvs" / "backend"
     venv.EnvBuilder(symlinks=True).create(half)
     (half / "leftover").touch()
-    assert not setup.is_whole(half) and not setup.is_whole(tmp_path / "none")
+    return half
+
+
+@pytest.mark.long
+def test_an_environment_that_is_half_made_is_made_anew(setup, tmp_path):
+    half = half_made(tmp_path)
     lock(setup, "backend.txt")
     setup.make_environment("backend", sys.executable, ("backend.txt",))
     assert setup.is_whole(half) and not (half / "leftover").exists()

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A configuration that cannot be trained is refused when it is made: no data are opened for it."""
 
-import importlib.util
 import re
-from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from physhdr.backend.cli import main
+from physhdr.tests.backend.scene import layouts
 
 #: Options → what is said of them, with the remedy.
 REFUSED = {
@@ -49,11 +48,6 @@ def test_a_bracket_of_one_exposure_is_one_drawing(seen, tiny_data, tmp_path):
 
 def test_pictures_of_which_all_is_hidden_are_not_trained(tmp_path, capsys):
     """Nothing would be compared, and that without any error."""
-    spec = importlib.util.spec_from_file_location(
-        "layouts", Path(__file__).parents[1] / "scene" / "layouts.py"
-    )
-    layouts = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(layouts)
     layouts.write_nerfstudio(tmp_path / "data")
     for path in (tmp_path / "data" / "images").iterdir():
         picture = Image.open(path).convert("RGB")

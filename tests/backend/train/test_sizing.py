@@ -2,7 +2,6 @@
 """Sizes follow from the data by the rule in docs/performance.md; what is typed wins; renders stay."""
 
 import dataclasses
-import importlib.util
 import re
 from pathlib import Path
 
@@ -12,10 +11,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.sizing import Extent, extent_of, found_sizes, sizes_in_words
 from physhdr.bridge.data_set import CAPTURE_FILE
-
-_SPEC = importlib.util.spec_from_file_location("layouts", Path(__file__).parents[1] / "scene" / "layouts.py")
-layouts = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(layouts)
+from physhdr.tests.backend.scene import layouts
 
 DOCS = Path(__file__).parents[3] / "docs" / "performance.md"
 RENDERS = Extent(pixels=200 * 200, views=30, points=17_599, exposures=())

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a benchmark takes a training to be is what ``physhdr train`` makes of the data, whatever these are."""
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -11,11 +10,7 @@ from physhdr.backend.cli import main
 from physhdr.lab.benchmark.plan import make_plan
 from physhdr.lab.benchmark.runs import Store, data_fingerprint, differences, runs_of
 from physhdr.lab.command import configuration, configurations
-
-_LAYOUTS = Path(__file__).parents[2] / "backend" / "scene" / "layouts.py"
-_SPEC = importlib.util.spec_from_file_location("layouts", _LAYOUTS)
-layouts = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(layouts)
+from physhdr.tests.backend.scene import layouts
 
 METHODS = [
     "default",
