@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rates over a training, by its length."""
 
-import pytest
+import math
+from types import SimpleNamespace
 
-from physhdr.backend.train.optimisers import STOCK_3DGS, OptimiserConfig
+import pytest
+import torch
+
+from physhdr.backend.train.optimisers import STOCK_3DGS, Optimiser, OptimiserConfig
 from physhdr.backend.train.presets import PRESETS
 
 GAUSSIANS = ("log_scales", "quaternions", "opacity_logits", "reflectance_dc", "reflectance_rest")
@@ -35,3 +39,18 @@ def test_positions_and_networks_go_as_in_any_training():
 def test_3dgs_as_published_has_constant_rates():
     assert STOCK_3DGS.rate("log_scales", 10**6).at(1.0, 1.0) == STOCK_3DGS.log_scales
     assert PRESETS["paper"].optimiser.rates_for == PRESETS["gausshdr"].optimiser.rates_for == 0
+
+
+def test_a_step_has_the_rate_of_its_iteration_and_clears_the_gradients():
+    """Adam's first step is the rate itself; positions' is halfway the geometric mean of both ends."""
+    means = torch.zeros(4, 3, requires_grad=True)
+    groups = {"means": [means]}
+    method = SimpleNamespace(
+        parameter_groups=lambda: groups, rates=dict, network_groups=dict, adam_epsilon=1e-15
+    )
+    optimiser = Optimiser(method, OptimiserConfig(means=1e-2, means_final=1e-4), extent=3.0, iterations=100)
+    means.grad = torch.tensor([0.5, -2.0, 1.0]).expand(4, 3).clone()
+    optimiser.step(50)
+    rate = 3.0 * math.sqrt(1e-2 * 1e-4)
+    assert means.grad is None
+    assert torch.allclose(means, torch.tensor([-rate, rate, -rate]).expand(4, 3), rtol=1e-5)
