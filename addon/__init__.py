@@ -10,9 +10,14 @@ A module that has classes to register is named in ``_MODULES``, in the order in 
 each other, and has a ``register`` and an ``unregister`` of its own.
 """
 
+import tomllib
 from contextlib import ExitStack
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
+
+from ..bridge.errors import FileMissingError
 
 _MODULES = (
     "outside",
@@ -60,8 +65,30 @@ def _modules() -> list[ModuleType]:
     return [import_module(f"{__name__}.{name}") for name in _MODULES]
 
 
+def require_bundled() -> None:
+    """Raise ``FileMissingError`` where the packages of the manifest's wheels cannot be imported.
+
+    So it is with the repository's own zip, which Blender installs as readily as a release: wheels are fetched
+    when the release is built.
+    """
+    root = Path(__file__).resolve().parents[1]
+    manifest = tomllib.loads((root / "blender_manifest.toml").read_text(encoding="utf-8"))
+    packages = [Path(wheel).name.partition("-")[0] for wheel in manifest["wheels"]]
+    missing = ", ".join(name for name in packages if find_spec(name) is None)
+    if not missing:
+        return
+    is_source = not (root / "wheels").is_dir()
+    what = "This is PhysHDR's source code, without" if is_source else "Blender has not set up"
+    raise FileMissingError(
+        f"{what} the packages that a release bundles: {missing}",
+        f"Remove it, and install physhdr-{manifest['version']}.zip from the project's releases page "
+        "(Get Extensions, Install from Disk).",
+    )
+
+
 def register() -> None:
     """Register all; where one module cannot be, none is left registered, so that it can be tried again."""
+    require_bundled()
     with ExitStack() as undo:
         for module in _modules():
             module.register()
