@@ -60,7 +60,8 @@ def peak_mb() -> float:
 def first_iteration(data: str, run: str) -> None:
     """``physhdr train`` until its first iteration is done; prints the time of day and ends at once."""
     from physhdr.backend.cli import main
-    from physhdr.backend.train import duration, trainer
+    from physhdr.backend.train import trainer
+    from physhdr.backend.train.forecast import duration
     from physhdr.backend.train.state import State
 
     step = trainer.step

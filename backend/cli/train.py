@@ -28,7 +28,7 @@ from ..runs.tidy import Tidying
 from ..shell import OPTIONS, as_word, option
 from ..train import events
 from ..train.config import CONFIG_FILE, TrainConfig
-from ..train.duration import Duration
+from ..train.forecast.duration import Duration
 from ..train.presets import PRESETS, preset_named
 from ..train.saver import CHECKPOINT_SECONDS
 from ..train.settings import Setting, as_text, assigned, settings_of, type_in_words, with_settings

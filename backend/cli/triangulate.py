@@ -16,7 +16,7 @@ from ..scene.capture.structure import require_pycolmap
 from ..scene.capture.triangulate import Triangulated, is_ours, triangulate, write_points
 from ..shell import as_word
 from ..train.config import TrainConfig
-from ..train.sizing import extent_of, found_sizes
+from ..train.forecast.size import sized
 from ..train.views import training_exposures
 from .preparing import Preparing
 
@@ -50,7 +50,7 @@ class Triangulate(PointOptions, Preparing):
         scene = read_scene(self.source, downscale=1.0)
         seen = TrainConfig()
         if self.training_exposures is None:
-            seen = found_sizes(extent_of(scene, seen), seen)
+            seen, _ = sized(scene, seen)
         else:
             seen = replace(seen, training_exposures=self.training_exposures)
         exposures = [training_exposures(view, seen) for view in scene.train]

@@ -16,11 +16,11 @@ from ..scene import Scene, read_scene
 from ..scene.prefetch import reading_ahead
 from ..train.begin import begin, resume
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
-from ..train.duration import Duration, time_training
-from ..train.memory import check_memory
+from ..train.forecast.duration import Duration, time_training
+from ..train.forecast.memory import check_memory
+from ..train.forecast.size import sized
 from ..train.plan import planned
 from ..train.presets import PRESETS
-from ..train.sizing import extent_of, found_sizes, sizes_in_words
 from ..train.state import State
 from ..train.without_effect import changed_without_effect
 from .files import holds_a_run, refuse_a_run, remove_results, remove_unfinished, writable_folder
@@ -88,7 +88,7 @@ def start_run(
     """A new run in ``out``, at iteration 0; nobody else trains there while this is active.
 
     What of ``config`` follows from the data, and is not among the ``typed`` settings, is found here
-    (``train/sizing.py``); the run's own configuration has it.
+    (``train/forecast/size.py``); the run's own configuration has it.
     A run that was there stays as it is until the new one can begin, and is gone from then on. Raises what
     reading, training and writing raise.
     """
@@ -101,10 +101,9 @@ def start_run(
         if not overwrite:  # another training may have ended just now
             refuse_a_run(folder)
         scene = read_scene(data, config.downscale, config.color_space)
-        extent = extent_of(scene, config)
-        before, config = config, found_sizes(extent, config, typed)
-        if words := sizes_in_words(extent, before, config):
-            workshop.report(words)
+        config, found = sized(scene, config, typed)
+        if found:
+            workshop.report(found)
         state = workshop.begin(scene, config)
         if preset in PRESETS and (options := changed_without_effect(state, PRESETS[preset])):
             workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")

@@ -35,7 +35,7 @@ from ..memory import is_out_of_memory
 from ..runs.begin import Workshop
 from ..runs.log import LOG_FILE
 from ..runs.run import Run, open_run
-from ..train.duration import Duration
+from ..train.forecast.duration import Duration
 from . import preview
 from .curves import Curves
 from .failures import BusyError, NoJobError, NoModelError, failure_of

@@ -10,7 +10,7 @@ from ..runs.monitor import view_monitor
 from ..runs.run import Run, as_learned
 from ..runs.tidy import Tidying
 from ..train import events
-from ..train.duration import Duration
+from ..train.forecast.duration import Duration
 from ..train.state import State
 from ..train.trainer import run as train
 from .curves import Curves, Speed

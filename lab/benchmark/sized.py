@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...backend.scene import Scene, read_scene
 from ...backend.train.config import TrainConfig
-from ...backend.train.sizing import extent_of, found_sizes
+from ...backend.train.forecast import size
 from ...bridge.errors import PhysHDRError
 
 
@@ -16,8 +16,8 @@ def sized(
 ) -> dict[str, TrainConfig]:
     """``configs``, by method, as ``physhdr train`` makes them of the data set in ``data``.
 
-    ``typed``: the settings that the plan sets, by method (``train/sizing.py``). Of a data set that cannot be
-    read they stay as they are: the training says what is wrong with it.
+    ``typed``: the settings that the plan sets, by method. Of a data set that cannot be read they stay as they
+    are: the training says what is wrong with it.
     """
     scenes: dict[tuple[float | None, str | None], Scene] = {}
     found = dict(configs)
@@ -29,5 +29,5 @@ def sized(
         except PhysHDRError:
             return dict(configs)
         with suppress(PhysHDRError):  # a method's file of points that is not there is that method's alone
-            found[name] = found_sizes(extent_of(scenes[how], config), config, typed[name])
+            found[name], _ = size.sized(scenes[how], config, typed[name])
     return found

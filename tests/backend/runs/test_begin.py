@@ -13,9 +13,9 @@ import pytest
 from physhdr.backend.runs.begin import Workshop, resume_run, start_run
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.serve.engine import CancelledError
-from physhdr.backend.train import duration, sizing
 from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
 from physhdr.backend.train.events import Saved
+from physhdr.backend.train.forecast import duration, size
 from physhdr.backend.train.saver import save
 from physhdr.backend.train.trainer import run as train
 from physhdr.bridge.errors import BadValueError, DataMismatchError, OutputError
@@ -37,7 +37,7 @@ def workshop(told):
 @pytest.fixture(autouse=True)
 def large_pictures(monkeypatch):
     """As if the presets were made for pictures a hundredth as large as these."""
-    monkeypatch.setattr(sizing, "REFERENCE_PIXELS", 10)
+    monkeypatch.setattr(size, "REFERENCE_PIXELS", 10)
 
 
 def begin(data, out, workshop, config=PRESET, typed=()):

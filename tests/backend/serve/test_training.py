@@ -30,9 +30,9 @@ from physhdr.backend.serve import server as server_module
 from physhdr.backend.serve.curves import Curves
 from physhdr.backend.serve.inbox import Abandoned, Command, Inbox
 from physhdr.backend.serve.preview import camera_of, render
-from physhdr.backend.train import duration
 from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
 from physhdr.backend.train.config import read_config, write_config
+from physhdr.backend.train.forecast import duration
 from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.connection import Connection
 from physhdr.bridge.messages import (

@@ -13,14 +13,15 @@ import pytest
 import torch
 
 from physhdr.backend.scene import read_scene
-from physhdr.backend.train import duration
 from physhdr.backend.train.begin import begin
-from physhdr.backend.train.duration import Cost, Duration, Plan, about, time_training
+from physhdr.backend.train.forecast import duration
+from physhdr.backend.train.forecast.course import Course
+from physhdr.backend.train.forecast.duration import Cost, Duration, about, time_training
 from physhdr.backend.train.nuisances import Nuisances
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.state import State
 
-PLAN = Plan(iterations=1000, first=100, most=500, grows_from=100, grows_until=600, half_until=300)
+PLAN = Course(iterations=1000, first=100, most=500, grows_from=100, grows_until=600, half_until=300)
 #: Made-up seconds of an iteration: of itself, of a pixel, of a Gaussian; and of a picture's decoding.
 OF_ITSELF, OF_PIXEL, OF_GAUSSIAN, OF_DECODING = 0.01, 3e-6, 2e-4, 0.5
 

@@ -15,9 +15,9 @@ from physhdr.backend.memory import LEAST_OF_PICTURES, NotEnoughMemoryError, Room
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import SRGB
 from physhdr.backend.scene.scene import PictureCache
-from physhdr.backend.train import memory
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.memory import check_memory, estimate, sizes_of
+from physhdr.backend.train.forecast import memory
+from physhdr.backend.train.forecast.memory import check_memory, estimate, sizes_of
 from physhdr.backend.train.plan import planned
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.settings import assigned, with_settings
@@ -30,7 +30,7 @@ TRAINING = """
 import dataclasses, json, sys
 from pathlib import Path
 from physhdr.backend.scene import read_scene
-from physhdr.backend.train.memory import estimate, sizes_of
+from physhdr.backend.train.forecast.memory import estimate, sizes_of
 from physhdr.backend.train.plan import planned
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.begin import begin

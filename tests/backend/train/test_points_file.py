@@ -14,10 +14,10 @@ from physhdr.backend.scene.points import read_points, with_points_file
 from physhdr.backend.train.begin import begin
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import CONFIG_FILE, read_config
-from physhdr.backend.train.memory import sizes_of
+from physhdr.backend.train.forecast.memory import sizes_of
+from physhdr.backend.train.forecast.size import extent_of, found_sizes
 from physhdr.backend.train.plan import planned
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.sizing import extent_of, found_sizes
 from physhdr.backend.train.without_effect import changed_without_effect
 from physhdr.bridge.errors import FileDamagedError, FileMissingError
 from physhdr.bridge.run_folder import CHECKPOINT_FILE

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from physhdr.backend.scene import read_scene
+from physhdr.backend.train.forecast.size import Extent, extent_of, found_sizes, sizes_in_words
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.sizing import Extent, extent_of, found_sizes, sizes_in_words
 from physhdr.bridge.data_set import CAPTURE_FILE
 from physhdr.tests.backend.scene import layouts
 

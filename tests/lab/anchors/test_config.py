@@ -4,8 +4,8 @@
 import dataclasses
 
 from physhdr.backend.train.config import in_iterations
+from physhdr.backend.train.forecast.size import Extent, found_sizes
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.sizing import Extent, found_sizes
 from physhdr.lab.anchors.config import AnchorsConfig
 
 

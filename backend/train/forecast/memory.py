@@ -13,16 +13,16 @@ from dataclasses import dataclass
 
 import torch
 
-from ..kernels.ahead import CONTEXT
-from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, picture_room, room
-from ..scene.encoding import CAMERA
-from ..scene.resident import picture_room_on
-from ..scene.scene import View
-from ..shell import option
-from ..start.initialise import most_of_stereo
-from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
-from .plan import Plan
-from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
+from ...kernels.ahead import CONTEXT
+from ...memory import NotEnoughMemoryError, Room, cores, gigabytes, picture_room, room
+from ...scene.encoding import CAMERA
+from ...scene.resident import picture_room_on
+from ...scene.scene import View
+from ...shell import option
+from ...start.stereo import MOST_DEPTHS, WORK_WIDTH
+from ..plan import Plan
+from ..targets import TARGET_BYTES, TARGET_PIXEL_BYTES
+from .course import course_of
 
 FLOAT = 4
 
@@ -64,12 +64,12 @@ class Sizes:
     pixels: int
     picture_bytes: int
     exposures: int
-    first: int
-    most: int
-    row_bytes: float
-    splat_bytes: int
-    pixel_bytes: int
-    seeks: bool
+    first: int = 0
+    most: int = 0
+    row_bytes: float = 0.0
+    splat_bytes: int = 0
+    pixel_bytes: int = 0
+    seeks: bool = False
     merges: bool = False
 
 
@@ -141,12 +141,6 @@ def sizes_of(plan: Plan) -> Sizes:
             for count, places, view in zip(pixels, seen.exposures, seen.views, strict=True)
         ),
         exposures=max(len(places) for places in seen.exposures),
-        first=0,
-        most=0,
-        row_bytes=0.0,
-        splat_bytes=0,
-        pixel_bytes=0,
-        seeks=False,
     )
     if not plan.splats:
         return sizes
@@ -155,17 +149,16 @@ def sizes_of(plan: Plan) -> Sizes:
     branches = max(1, (channels - (CONTEXT if local else 0)) // 3)
     compared = sizes.exposures if config.supervision == "bracket" else 1
     developed = DEVELOPED_PIXEL_BYTES + (LOCAL_PIXEL_BYTES if local else 0)
-    points, seeks = _first_points(plan)
-    first, most = _counts(points, plan)
+    course = course_of(plan)
     wanted = config.method.attributes(seen.lights)
     return dataclasses.replace(
         sizes,
-        first=first,
-        most=most,
+        first=course.first,
+        most=course.most,
         row_bytes=COPIES * FLOAT * plan.backbone.numbers(wanted),
         splat_bytes=plan.backbone.splat_bytes + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
         pixel_bytes=DRAWN_PIXEL_BYTES + compared * branches * developed,
-        seeks=seeks,
+        seeks=course.seeks,
         merges=sizes.exposures > 1 and plan.merges != "off",
     )
 
@@ -198,29 +191,6 @@ def _pixel_bytes(view: View) -> int:
         (3 if source.encoding == CAMERA else 6) + (source.mask_path is not None or source.alpha)
         for source in view.sources
     )
-
-
-def _first_points(plan: Plan) -> tuple[int, bool]:
-    """At most so many points training starts from, and whether stereo seeks them."""
-    config, points = plan.config, plan.seen.scene.points
-    given = 0 if points is None else len(points.positions)
-    source = config.initial_points
-    if source == "random":
-        return config.random_points, False
-    if source == "file" or (source == "auto" and given):
-        return given, False
-    found = min(most_of_stereo(plan.backbone.budget, given), WORK_WIDTH**2 * len(plan.seen.views))
-    return given + max(found, 0 if given else config.random_points), True
-
-
-def _counts(points: int, plan: Plan) -> tuple[int, int]:
-    """Gaussians at the start, and the most there will be."""
-    backbone = plan.backbone
-    first = backbone.first_gaussians(points)
-    begins, ends = backbone.growing(plan.iterations)
-    if begins >= ends:
-        return first, first
-    return first, max(first, backbone.budget) if backbone.budget else backbone.growth_factor * first
 
 
 # -- refusing ------------------------------------------------------------------------------------------------

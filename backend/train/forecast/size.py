@@ -13,13 +13,13 @@ import statistics
 from collections.abc import Collection
 from typing import Any
 
-from ..evaluate.published import keeps_exposures_for_testing
-from ..evaluate.results import OBSERVED, OBSERVED_EXPOSURES, part_of
-from ..scene.points import with_points_file
-from ..scene.scene import Scene, View
-from .config import TrainConfig
-from .settings import with_settings
-from .views import training_views
+from ...evaluate.published import keeps_exposures_for_testing
+from ...evaluate.results import OBSERVED, OBSERVED_EXPOSURES, part_of
+from ...scene.points import with_points_file
+from ...scene.scene import Scene, View
+from ..config import TrainConfig
+from ..settings import with_settings
+from ..views import training_views
 
 #: Pixels of a view for which the presets' numbers are; fewer change nothing.
 REFERENCE_PIXELS = 200 * 200
@@ -105,6 +105,13 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
             more = changes["backbone.budget"] / budget
             changes["random_points"] = _whole(config.random_points * more, 1000)
     return with_settings(config, {name: value for name, value in changes.items() if name not in typed})
+
+
+def sized(scene: Scene, config: TrainConfig, typed: Collection[str] = ()) -> tuple[TrainConfig, str]:
+    """``found_sizes`` of what ``config`` sees of ``scene``, and what was found in words."""
+    extent = extent_of(scene, config)
+    found = found_sizes(extent, config, typed)
+    return found, sizes_in_words(extent, config, found)
 
 
 def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> str:

@@ -8,20 +8,18 @@ right.
 """
 
 import copy
-import gc
-import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import torch
 
-from ..simd import give_back_freed_memory
-from .growing import Growing
-from .memory import sizes_of
-from .state import State
-from .trainer import step
+from ...simd import give_back_freed_memory
+from ..growing import Growing
+from ..state import State
+from ..trainer import step
+from .course import Course, course_of
 
 #: Of each size and number of Gaussians so many iterations are timed, after one that is not.
 TIMED = 3
@@ -42,40 +40,18 @@ class Cost:
         return self.constant + self.each * count
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What decides how the cost of an iteration changes over a training.
-
-    ``first`` and ``most``: the backbone's primitives at the start and at the end; they grow from iteration
-    ``grows_from`` to ``grows_until``. Iterations before ``half_until`` are at half size.
-    """
-
-    iterations: int
-    first: int
-    most: int
-    grows_from: int
-    grows_until: int
-    half_until: int
-
-    def count_at(self, iteration: int) -> float:
-        """Gaussians at an iteration, growing evenly."""
-        span = max(self.grows_until - self.grows_from, 1)
-        share = min(max((iteration - self.grows_from) / span, 0.0), 1.0)
-        return self.first + share * (self.most - self.first)
-
-
 class Duration:
     """How long a training takes as a whole and from any iteration on. ``begun``: the iteration it starts at.
 
     ``decoding``: seconds until all pictures have been decoded once.
     """
 
-    def __init__(self, plan: Plan, half: Cost, full: Cost, begun: int = 0, decoding: float = 0.0) -> None:
-        sizes = [half] * plan.half_until + [full] * (plan.iterations - plan.half_until)
-        each = [BESIDE * cost.at(plan.count_at(i)) for i, cost in enumerate(sizes)]
+    def __init__(self, course: Course, half: Cost, full: Cost, begun: int = 0, decoding: float = 0.0) -> None:
+        sizes = [half] * course.half_until + [full] * (course.iterations - course.half_until)
+        each = [BESIDE * cost.at(course.count_at(i)) for i, cost in enumerate(sizes)]
         self._left = [*accumulate(reversed(each), initial=0.0)][::-1]  # of all iterations from i on
         self._each = each
-        self.seconds = self._left[min(begun, plan.iterations)] + decoding
+        self.seconds = self._left[min(begun, course.iterations)] + decoding
 
     def left(self, iteration: int, rate: float) -> float:
         """Seconds from ``iteration`` to the end, where iterations go by at ``rate`` a second just now."""
@@ -111,39 +87,27 @@ def time_training(
     each iteration that is timed; what it raises ends the timing.
     """
     begun = state.iteration
-    plan = plan_of(state)
-    sides = [False] if begun >= plan.half_until else [True, False]
+    course = course_from(state)
+    sides = [False] if begun >= course.half_until else [True, False]
     counts = [len(state.method.backbone)]
-    if plan.most > counts[0]:
-        counts.append(plan.most)
+    if course.most > counts[0]:
+        counts.append(course.most)
     # All are told as if they cost the mean of what is to come, which they do.
-    if len(sides) * len(counts) * (TIMED + 1) > SHARE * (plan.iterations - begun):
+    if len(sides) * len(counts) * (TIMED + 1) > SHARE * (course.iterations - begun):
         return None
     with torch.random.fork_rng(devices=[state.device] if state.device.type == "cuda" else []):
-        decoding, half, full = _timed(_copy(state), plan, sides, counts, clock, between)
-    # The copy, which was as large as the training will be. Where a method knows its state (HDR-NeRF's film
-    # holds all pixels) the two hold each other, and would stay until Python happens to look for such.
-    gc.collect()
-    give_back_freed_memory()
-    return Duration(plan, half, full, begun, decoding)
+        decoding, half, full = _timed(_copy(state), course, sides, counts, clock, between)
+    give_back_freed_memory()  # the copy, which was as large as the training will be
+    return Duration(course, half, full, begun, decoding)
 
 
-def plan_of(state: State) -> Plan:
-    """As the configuration has it; growth without a bound is guessed, as for memory."""
-    config, now = state.config, len(state.method.backbone)
-    sizes = sizes_of(state.plan)
+def course_from(state: State) -> Course:
+    """The course from where ``state`` is, in primitives of its backbone."""
+    course, now = course_of(state.plan), len(state.method.backbone)
     # Estimates of the first points are their most, and a search has found fewer by now.
     each = state.method.size // max(now, 1)  # Gaussians of a primitive
-    most = now if sizes.most == sizes.first else max(now, sizes.most // each)
-    begins, ends = state.plan.backbone.growing(config.iterations)
-    return Plan(
-        iterations=config.iterations,
-        first=now,
-        most=most,
-        grows_from=max(begins, state.iteration),
-        grows_until=ends,
-        half_until=math.ceil(config.half_size_until * config.iterations),
-    )
+    most = now if course.most == course.first else max(now, course.most // each)
+    return replace(course, first=now, most=most, grows_from=max(course.grows_from, state.iteration))
 
 
 # -- timing --------------------------------------------------------------------------------------------------
@@ -160,7 +124,7 @@ def _copy(state: State) -> State:
 
 def _timed(
     trial: State,
-    plan: Plan,
+    course: Course,
     sides: list[bool],
     counts: list[int],
     clock: Callable[[], float],
@@ -176,7 +140,7 @@ def _timed(
             total = 0.0
             for turn in range(TIMED + 1):
                 between()
-                trial.iteration = _iteration(plan, half, turn, late=count == counts[-1])
+                trial.iteration = _iteration(course, half, turn, late=count == counts[-1])
                 begun = clock()
                 trial.batch(trial.iteration)  # so that no step waits for a picture to be decoded
                 view = trial.draw(trial.iteration)[0].name
@@ -203,9 +167,9 @@ def _line(points: list[tuple[int, float]]) -> Cost:
     return Cost(low - each * first, each)
 
 
-def _iteration(plan: Plan, half: bool, turn: int, *, late: bool) -> int:
+def _iteration(course: Course, half: bool, turn: int, *, late: bool) -> int:
     """An iteration of this size, near the end of those where the spherical harmonics are whole."""
-    first, last = (0, plan.half_until) if half else (plan.half_until, plan.iterations)
+    first, last = (0, course.half_until) if half else (course.half_until, course.iterations)
     if late:
         return max(last - (TIMED + 1) + turn, first)
     return min(first + turn, last - 1)
