@@ -130,9 +130,7 @@ def refuse_others(path: Path) -> None:
     with suppress(PhysHDRError):
         if _is_ours(read_json(path)):
             return
-    raise OutputError(
-        f"{path} is there, and PhysHDR did not write it", "Name another folder, or move it away."
-    )
+    raise OutputError(f"{path} exists, and PhysHDR did not write it", "Name another folder, or move it away.")
 
 
 def _is_ours(content: Any) -> bool:

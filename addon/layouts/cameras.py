@@ -87,7 +87,7 @@ def read_frames(root: Path) -> Frames:
 
 
 def camera_places(root: Path) -> np.ndarray:
-    """``[N, 3]`` float64: where the cameras of a data set were, those of lit and validation views left out.
+    """``[N, 3]`` float64: where the cameras of a data set were, without lit and validation views.
 
     Raises as ``read_frames``.
     """

@@ -168,15 +168,15 @@ def _listed_in(
     for listed, entry in frames_of(path, content):
         name = data_set.plain_name(listed)
         where = f"frame '{name:.80}'"
-        given = content | entry
+        entries = content | entry
         file = picture_of(root, path, listed)
         stored, (_, factor) = picture_size(file), reduction_of(root, path, listed)
         size = (factor * stored[0], factor * stored[1]) if stored else None
-        pose = rigid_pose(path, require(path, given, "transform_matrix", f": {where}"), f"'{name:.80}'")
+        pose = rigid_pose(path, require(path, entries, "transform_matrix", f": {where}"), f"'{name:.80}'")
         camera = lens = None
-        if size or {"w", "h"} <= given.keys():
-            camera = stated_camera(path, where, given, size or (0, 0))
-            lens = stated_lens(path, where, given, camera)
+        if size or {"w", "h"} <= entries.keys():
+            camera = stated_camera(path, where, entries, size or (0, 0))
+            lens = stated_lens(path, where, entries, camera)
         is_there = os.path.isfile(file)  # Path.is_file raises where a name is too long
         yield View(
             without_suffix(name),

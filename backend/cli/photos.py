@@ -326,7 +326,7 @@ def _looked_at(
     if damaged:
         understood = understood.without(damaged)
         for each in damaged:
-            voice.warn(f"left out: {each.name} {each.why}")
+            voice.warn(f"ignored: {each.name} {each.why}")
         if len(understood.brackets.poses) < FEWEST_POSES:
             raise DataMismatchError(
                 f"{len(understood.brackets.poses)} poses are left without damaged photos; {FEWEST_POSES} are "

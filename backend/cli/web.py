@@ -63,7 +63,7 @@ def _written(
         show(OF_MODEL + round((100 - OF_MODEL) * done), 100, "")
 
     written = write_web_page(out, model, page, single_file, report)
-    hidden = f", {written.left_out} too faint to be seen left out" if written.left_out else ""
+    hidden = f", {written.omitted} too faint to be seen left out" if written.omitted else ""
     say(
         f"wrote {written.page}: {written.gaussians} Gaussians{hidden}, "
         f"{written.data_bytes / 1e6:.1f} MB of data, {written.page_bytes / 1e6:.1f} MB in all"

@@ -94,7 +94,7 @@ def to_model(
     """The file's content, of a method on plain Gaussians (``on_gaussians``).
 
     ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean. ``confidence`` ``[N]``
-    (``confidence.confidence_of``); None: the pictures that tell it are not there. ``scale``: what radiance
+    (``confidence.confidence_of``); None: its pictures are missing. ``scale``: what radiance
     is multiplied by; the curve follows, so that its pictures stay the same. ``cameras``: of its pictures.
     """
     g = method.gaussians
@@ -103,7 +103,7 @@ def to_model(
     if method.has_light_share:
         share = g.light_share.numpy()
     elif not method.can_relight:
-        # Without an illumination branch nothing is known of the light: a level scales everything.
+        # Without an illumination branch the light is unknown: a level scales everything.
         share = np.ones((len(g), 1, 3), np.float32)
     else:
         gain, levels = level_log_gain(method, torch.as_tensor(viewpoint, dtype=torch.float32)), BAKED_LEVELS
@@ -111,7 +111,7 @@ def to_model(
     log_radiance = log_radiance_sh(method)
     log_radiance[:, 0] += math.log(scale) / SH_C0
     return Model(
-        # One Gaussian that ran away, which nobody sees, shall not keep the others from being written.
+        # One runaway Gaussian, which nobody sees, must not prevent the others from being written.
         position=g.means.detach().clamp(-FARTHEST, FARTHEST).numpy(),
         rotation=torch.nn.functional.normalize(g.quaternions.detach(), dim=1).numpy(),
         scale=g.scales.clamp(max=FARTHEST).numpy(),

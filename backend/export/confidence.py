@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far each Gaussian's radiance can be believed: what the training pictures say of it.
+"""How far each Gaussian's radiance can be trusted, according to the training pictures.
 
-A pixel's codes tell ln radiance to a variance v: each exposure k adds (d value / d ln x)² / variance of the
-value to 1/v, and adds nothing where it is clipped or black. Before any picture is looked at the drawn
-radiance is off by ``UNKNOWN`` (a factor e); the codes say that it is off by Δ. By Bayes for normal
+A pixel's codes determine ln radiance with a variance v: each exposure k adds (d value / d ln x)² / variance
+of the value to 1/v, and adds nothing where it is clipped or black. Before any picture is considered, the
+rendered radiance is off by ``UNKNOWN`` (a factor e); the codes say that it is off by Δ. By Bayes for normal
 distributions, with s = UNKNOWN² / (UNKNOWN² + v), its expected squared error is then
 
     E = (s Δ)² + s v
@@ -18,7 +18,7 @@ the expected error b; the confidence is 1 − exp(−(TOLERANCE / b) ^ SHAPE), a
 radiance is read here.
 
 Σ_p w_p q_p of any per-pixel q is the gradient of Σ_p q_p image_p with respect to a Gaussian's colour, so the
-rasteriser as it is does all of this: one picture forward, one backward.
+rasteriser can compute it unchanged: one picture forward, one backward.
 """
 
 import math
@@ -39,7 +39,7 @@ from ..scene.scene import View
 
 #: Standard deviation of ln radiance where nothing is known: a factor e, 1.4 stops.
 UNKNOWN = 1.0
-#: An error that is measured counts as this at most.
+#: The cap on a measured error.
 LARGEST_ERROR = 2.0
 #: The weight of not knowing, in views.
 DOUBT = 0.05
@@ -51,19 +51,19 @@ NOISE = 0.5 / 255.0
 DARKEST = 1e-6
 #: The pixels that say how a photo's own gain is off are at least so many, each known to this variance.
 FEWEST, TELLING = 64, 0.1**2
-#: So many pixels are looked at, of evenly spread views, in about 45 s on two cores. (Not of smaller pictures:
+#: This many pixels are used, of evenly spread views, in about 45 s on two cores. (Not of smaller pictures:
 #: small Gaussians are widened to their pixels, and what is right looks wrong.)
 MOST_PIXELS = 100_000_000
-#: … but of so many views, whatever their size.
+#: … but of at least this many views, whatever their size.
 FEWEST_VIEWS = 32
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A view that training saw, at those positions of its bracket.
+    """A view used in training, at those positions of its bracket.
 
     ``effect``: what the lens did to the light, a factor ``[1 or 3, H, W]``; None: nothing.
-    ``has_own_gain``: its pictures are photos, each with a gain and a white balance that nobody told; the
+    ``has_own_gain``: its pictures are photos, each with an unknown gain and white balance; the
     median difference of each channel is then the camera's, not an error of the radiance.
     """
 
@@ -74,15 +74,15 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Told:
-    """What each code says: ln(exposure × radiance) and 1 / its variance, ``[codes, 3]`` float32."""
+class CodeInformation:
+    """What each code determines: ln(exposure × radiance) and 1 / its variance, ``[codes, 3]`` float32."""
 
     log_exposed: np.ndarray
     information: np.ndarray
 
 
-def told_by(encoding: Encoding, response: Response, dtype: np.dtype) -> Told:
-    """What codes of that type say, of a picture with ``encoding``; of a camera's by the learned response."""
+def information_of(encoding: Encoding, response: Response, dtype: np.dtype) -> CodeInformation:
+    """What codes of that type determine with that ``encoding``; a camera's by the learned response."""
     codes = np.arange(LARGEST[np.dtype(dtype)] + 1)
     unit = encoding.unit(np.dtype(dtype))
     values = np.repeat((codes / unit)[:, None], 3, axis=1)
@@ -99,7 +99,7 @@ def told_by(encoding: Encoding, response: Response, dtype: np.dtype) -> Told:
     information[0] = 0.0
     if encoding.clips or not encoding.is_known:
         information[-1] = 0.0
-    return Told(log_exposed.astype(np.float32), information.astype(np.float32))
+    return CodeInformation(log_exposed.astype(np.float32), information.astype(np.float32))
 
 
 def _by_response(response: Response, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,16 +116,16 @@ def _by_response(response: Response, values: np.ndarray) -> tuple[np.ndarray, np
 
 
 class Tables:
-    """``told_by`` of a response, each made once."""
+    """``information_of`` of a response, each made once."""
 
     def __init__(self, response: Response) -> None:
         self._response = response
-        self._made: dict[tuple[Encoding, np.dtype], Told] = {}
+        self._made: dict[tuple[Encoding, np.dtype], CodeInformation] = {}
 
-    def of(self, encoding: Encoding, dtype: np.dtype) -> Told:
+    def of(self, encoding: Encoding, dtype: np.dtype) -> CodeInformation:
         key = encoding, dtype
         if key not in self._made:
-            self._made[key] = told_by(encoding, self._response, dtype)
+            self._made[key] = information_of(encoding, self._response, dtype)
         return self._made[key]
 
 
@@ -142,10 +142,10 @@ def expected_error(seen: Seen, radiance: np.ndarray, tables: Tables) -> tuple[np
     compared = np.zeros(log_drawn.shape[1:], bool)
     for k in seen.positions:
         codes, mask = view.image(k), view.mask(k)
-        told = tables.of(view.encodings[k], codes.dtype)
+        known = tables.of(view.encodings[k], codes.dtype)
         channels = range(3)
-        information = np.stack([told.information[codes[..., c], c] for c in channels])
-        difference = np.stack([told.log_exposed[codes[..., c], c] for c in channels])
+        information = np.stack([known.information[codes[..., c], c] for c in channels])
+        difference = np.stack([known.log_exposed[codes[..., c], c] for c in channels])
         difference -= log_drawn + np.float32(math.log(view.exposures[k]))
         if mask is not None:
             information = information * mask
@@ -161,7 +161,7 @@ def expected_error(seen: Seen, radiance: np.ndarray, tables: Tables) -> tuple[np
 
 
 def _own_gain(difference: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """``[3, 1, 1]``: by how much a photo is brighter than it states, of each channel."""
+    """``[3, 1, 1]``: by how much a photo is brighter than it states, in each channel."""
     telling = information > 1.0 / TELLING
     medians = [
         np.median(plane[known]) if np.count_nonzero(known) >= FEWEST else 0.0
@@ -181,7 +181,7 @@ def blended(splats: Splats, camera: Camera, planes: np.ndarray) -> torch.Tensor:
 
 
 def _drawn(splats: Splats, colours: torch.Tensor, camera: Camera) -> Rasterization:
-    """On the CPU, whatever the run was opened to be drawn by."""
+    """On the CPU, whatever device the run uses."""
     means, quaternions = splats.means.detach(), splats.quaternions.detach()
     return rasterize(means, quaternions, splats.scales.detach(), splats.opacities.detach(), colours, camera)
 

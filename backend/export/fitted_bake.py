@@ -10,7 +10,7 @@ viewer's picture is linear in the colours but for their floor at 0,
 
 with the weights w found once a view (``rasterize.cpu.weights``). It is least squares, by Gauss and Newton:
 conjugate gradients between which the colours at the floor are chosen anew, with the diagonal as
-preconditioner. A ridge holds what no pixel tells to the colours that it starts from.
+preconditioner. A ridge holds what no pixel determines at its starting colours.
 """
 
 import itertools
@@ -41,15 +41,15 @@ WIDER, FINER, SCREEN = 0.8, 3.0, 1600
 #: Weights that are held, 8 bytes each; where all pixels have more, so many of the pixels are fitted to, as
 #: many of each view.
 MOST_WEIGHTS = 60_000_000
-#: Pixels of each view by which those are told beforehand.
+#: Pixels of each view by which those are estimated beforehand.
 PROBED = 2000
-#: What holds a coefficient to where it starts, against the sum of w² Y² over all pixels that see it.
+#: What holds a coefficient at its start, against the sum of w² Y² over all pixels that see it.
 RIDGE = 1e-3
 #: Conjugate gradients' steps after each choice of what is at the floor.
 STEPS = (15, 15)
 
 Picture = Callable[[Camera], np.ndarray]
-#: Told (steps done, of how many, what is done).
+#: Called with (steps done, of how many, what is done).
 Show = Callable[[int, int, str], None]
 
 
@@ -58,7 +58,7 @@ def fitted_colour_sh(
 ) -> np.ndarray:
     """``[N, K, 3]`` float32: SH of display colours (colour = Σ sh·Y + ½) whose blend is ``picture``.
 
-    ``start`` ``[N, K, 3]``: where it begins, and stays where no camera tells otherwise
+    ``start`` ``[N, K, 3]``: where it begins, and stays where no camera shows otherwise
     (``display_colour_sh``). ``cameras``: those of the training views; ``picture`` draws what is to be shown
     as one of them sees it, ``[3, H, W]`` in 0 … 1. The same on any number of threads.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A model in few bytes, for web pages: what is kept of each number, and how much that is off.
+"""A model in few bytes, for web pages: how each number is stored, and its error.
 
 ``quantised`` gives planes of bytes, which deflate packs well, and a header that says how to read them. The
 page reads them in ``web/data.js``; ``restored`` does the same here, which tests compare with the model. The
@@ -54,13 +54,13 @@ MOST_LIGHTS = 64
 class Quantised:
     """``planes``: named arrays of bytes, in the order in which they stand in the file.
 
-    ``header``: what a reader must know beside them; plain JSON. ``left_out``: Gaussians that are nowhere
-    drawn, and so are not in it. Its ``count`` is that of places, a few of which may be fillers of opacity 0.
+    ``header``: what a reader must know beside them; plain JSON. ``omitted``: Gaussians that are never
+    rendered and so are missing. Its ``count`` is that of places, a few of which may be fillers of opacity 0.
     """
 
     header: dict[str, Any]
     planes: dict[str, np.ndarray]
-    left_out: int
+    omitted: int
 
     def raw(self) -> bytes:
         """All planes, one after the other."""
@@ -74,7 +74,7 @@ def quantised(model: Model) -> Quantised:
     """
     if len(model.lights) > MOST_LIGHTS or len(model.levels) > MOST_LIGHTS:
         raise BadValueError(
-            f"a web page can draw {MOST_LIGHTS} lights, this model has {len(model.lights)}",
+            f"a web page can render {MOST_LIGHTS} lights, this model has {len(model.lights)}",
             "Train with fewer lights: leave some out of the data set's lit_lights.",
         )
     seen = np.flatnonzero(model.opacity >= ALPHA_MIN)

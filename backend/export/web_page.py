@@ -102,7 +102,7 @@ class Written:
 
     page: Path
     gaussians: int
-    left_out: int
+    omitted: int
     data_bytes: int
     page_bytes: int
 
@@ -116,7 +116,7 @@ def write_web_page(
 ) -> Written:
     """Write the page into the folder ``out``, or with ``single_file`` as the HTML file ``out``.
 
-    ``report`` is told how much is done, 0 to 1. Raises ``BadValueError`` (nothing to be seen) and
+    ``report`` gets the share that is done, 0 to 1. Raises ``BadValueError`` (nothing to be seen) and
     ``OutputError``, also where something else has the name of a file that would be written.
     """
     target = out if single_file else out / WEB_INDEX
@@ -136,9 +136,9 @@ def write_web_page(
         for index, text in enumerate(scripts)
     ]
     facts["parts"] = [{"file": name, "size": len(part)} for name, part in zip(names, parts, strict=True)]
-    told = f"window.MODEL_FACTS = {_in_script(facts)};"
+    script = f"window.MODEL_FACTS = {_in_script(facts)};"
     if single_file:
-        html = _html(page.title, [told, viewer(), *scripts])
+        html = _html(page.title, [script, viewer(), *scripts])
         sizes = [_write(target, html, refuse_what_is_not_ours)]
     else:
         try:
@@ -149,9 +149,9 @@ def write_web_page(
             ) from error
         viewer_file = VIEWER_FILE.format(hash=hash_of(viewer()))
         beside = dict(zip([*names, viewer_file], [*scripts, viewer()], strict=True))
-        sizes = _write_folder(target, _html(page.title, [told], [viewer_file]), beside)
+        sizes = _write_folder(target, _html(page.title, [script], [viewer_file]), beside)
     report(1.0)
-    return Written(target, model.count - packed.left_out, packed.left_out, len(data), sum(sizes))
+    return Written(target, model.count - packed.omitted, packed.omitted, len(data), sum(sizes))
 
 
 def viewer() -> str:
@@ -161,13 +161,13 @@ def viewer() -> str:
 
 
 def page_facts(model: Model, page: WebPage, packed: Quantised) -> dict[str, Any]:
-    """What the page's script is told, as plain JSON, but for where the data are."""
+    """What the page's script needs, as plain JSON, except where the data are."""
     views = list(page.views) or [WebView("overview", overview(model))]
     is_upright = page.is_upright or not page.views
     if len(views) > MOST_CAMERAS:
         views = [views[round(at)] for at in np.linspace(0, len(views) - 1, MOST_CAMERAS)]
     up = UPRIGHT if is_upright else _up_of([view.camera for view in views])
-    count = f"{model.count - packed.left_out:,} Gaussians."
+    count = f"{model.count - packed.omitted:,} Gaussians."
     return {
         **packed.header,
         "title": page.title,
@@ -219,7 +219,7 @@ def refuse_what_is_not_ours(target: Path) -> None:
         ) from error
     if not is_ours:
         raise OutputError(
-            f"{target} is there, and PhysHDR did not write it", "Choose another place, or move it away."
+            f"{target} exists, and PhysHDR did not write it", "Choose another place, or move it away."
         )
 
 
@@ -261,12 +261,12 @@ def hash_of(text: str) -> str:
 
 def files_of(html: str) -> set[str]:
     """The names of the files that a page of ours has beside it."""
-    told = re.search(r"^window\.MODEL_FACTS = (.*);$", html, re.MULTILINE)
+    found = re.search(r"^window\.MODEL_FACTS = (.*);$", html, re.MULTILINE)
     names = set(re.findall(r'<script src="([^"]*)"', html))
-    if told is not None:
+    if found is not None:
         # Edited by hand it may be anything: then its parts are nobody's, and stay.
         with contextlib.suppress(ValueError, TypeError, KeyError):
-            names |= {part["file"] for part in json.loads(told.group(1))["parts"]}
+            names |= {part["file"] for part in json.loads(found.group(1))["parts"]}
     return {name for name in names if OUR_NAME.fullmatch(name)}
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""OpenUSD in a process of its own, which has so much time and memory, and whose end is only an error here.
+"""OpenUSD in a separate process with limited time and memory, whose crash is only an error here.
 
-Damaged binary files make OpenUSD read where nothing is (SIGSEGV), or take all memory; text can have it wait
-for ever. What is asked of it stands in ``usd_stage.py``. The answer comes through a pipe: a line of JSON,
+Damaged binary files make OpenUSD crash (SIGSEGV) or take all memory; text can make it wait for ever. What it
+is asked for is in ``usd_stage.py``. The answer comes through a pipe: a line of JSON,
 then the bytes of arrays. Nothing is unpickled.
 """
 
@@ -31,7 +31,7 @@ from ..optional import PackageMissingError
 #: What was found, as JSON has it, and arrays by name.
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 
-#: Seconds that a file may take, and those for each MB of it: text takes 0.07 s (one core that others use).
+#: Seconds that a file may take, and more for each MB: text takes 0.07 s (one core that others use).
 PATIENCE, PATIENCE_A_MB = 120.0, 1.0
 #: How much of the memory that is free it may take.
 SHARE = 0.75
@@ -47,10 +47,10 @@ _ERRORS = {each.__name__: each for each in (BadValueError, FileDamagedError, Pac
 
 
 def apart(path: Path, function: Callable[..., Answer], *words: Any) -> Answer:
-    """``function(*words)`` in a process of its own; ``path`` is the file that it is about, for the errors.
+    """``function(*words)`` in a separate process; ``path`` is the file that it is about, for the errors.
 
     The function is a module's own, the words are JSON's. Raises what it raises of ``_ERRORS``, and
-    ``FileDamagedError`` where the process ends without an answer, or has to be ended.
+    ``FileDamagedError`` where the process ends without an answer, or has to be stopped.
     """
     seconds = PATIENCE + PATIENCE_A_MB * path.stat().st_size / 1e6
     most = _most()
@@ -76,17 +76,17 @@ def apart(path: Path, function: Callable[..., Answer], *words: Any) -> Answer:
         said.seek(0)
         words_beside = said.read(LONGEST_WORDS).decode("utf-8", "replace")
     if over:
-        raise FileDamagedError(f"{path}: OpenUSD was ended, it {over[0]}", REMEDY)
+        raise FileDamagedError(f"{path}: OpenUSD was stopped because it {over[0]}", REMEDY)
     if answer is None:
         _raise_end(path, process.returncode, words_beside)
-    told, arrays = answer
-    if "error" in told:
-        if told["error"] is None:
-            raise FileDamagedError(f"{path}: OpenUSD has not enough memory to read it", REMEDY)
-        kind, message, hint = told["error"]
+    values, arrays = answer
+    if "error" in values:
+        if values["error"] is None:
+            raise FileDamagedError(f"{path}: OpenUSD does not have enough memory to read it", REMEDY)
+        kind, message, hint = values["error"]
         raise _ERRORS[kind](message, hint)
     sys.stderr.write(words_beside)
-    return told, arrays
+    return values, arrays
 
 
 def _most() -> int:
@@ -97,7 +97,7 @@ def _most() -> int:
 def _watch(
     process: "subprocess.Popen[bytes]", seconds: float, most: int, ended: threading.Event, over: list[str]
 ) -> None:
-    """End the process where it takes more than it may; ``over`` is told of what."""
+    """Stop the process where it exceeds its limits; ``over`` gets the reason."""
     until = time.monotonic() + seconds
     with suppress(psutil.Error):  # it is gone
         child = psutil.Process(process.pid)
@@ -120,11 +120,11 @@ def _memory_of(child: psutil.Process) -> int:
 
 
 def _received(stream: IO[bytes], most: int) -> Answer | None:
-    """The answer, or None where it breaks off or is none."""
+    """The answer, or None where it is incomplete or invalid."""
     line = stream.readline(LONGEST_LINE)
     if not line.endswith(b"\n"):
         return None
-    told, kinds = json.loads(line)
+    values, kinds = json.loads(line)
     arrays = {}
     for name, kind, shape in kinds:
         if kind not in _TYPES or np.dtype(kind).itemsize * np.prod(shape, dtype=np.float64) > most:
@@ -136,7 +136,7 @@ def _received(stream: IO[bytes], most: int) -> Answer | None:
             if not count:
                 return None
             into = into[count:]
-    return told, arrays
+    return values, arrays
 
 
 def _raise_end(path: Path, status: int, said: str) -> NoReturn:
@@ -158,13 +158,13 @@ def main(argv: list[str]) -> None:
     with os.fdopen(os.dup(1), "wb") as out:
         os.dup2(2, 1)  # what OpenUSD prints
         try:
-            told, arrays = getattr(importlib.import_module(module), name)(*words)
+            values, arrays = getattr(importlib.import_module(module), name)(*words)
         except PhysHDRError as error:
-            told, arrays = {"error": [type(error).__name__, error.message, error.hint]}, {}
+            values, arrays = {"error": [type(error).__name__, error.message, error.hint]}, {}
         except MemoryError:
-            told, arrays = {"error": None}, {}
+            values, arrays = {"error": None}, {}
         kinds = [[key, array.dtype.newbyteorder("<").str, array.shape] for key, array in arrays.items()]
-        out.write(json.dumps([told, kinds]).encode() + b"\n")
+        out.write(json.dumps([values, kinds]).encode() + b"\n")
         for array in arrays.values():
             out.write(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
     os._exit(0)  # without OpenUSD's own end, which damaged stages could crash

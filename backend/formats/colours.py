@@ -20,7 +20,7 @@ from ...bridge.spherical_harmonics import (
     refit,
 )
 
-#: Of so many Gaussians, evenly among all, it is measured what a conversion loses.
+#: The loss of a conversion is measured on this many Gaussians, evenly spread.
 _SOME = 20_000
 
 
@@ -50,7 +50,7 @@ def linear_of_display(colour_sh: np.ndarray) -> np.ndarray:
 def display_of_linear(colour_sh: np.ndarray, exposure: float = 1.0) -> np.ndarray:
     """``[N, K, 3]``: sRGB codes of ``exposure`` × linear values, both as Σ sh·Y + ½.
 
-    Values above 1 go on along the curve, as colours of 3DGS may; values below 0 are 0.
+    Values above 1 continue along the curve, as colours of 3DGS may; values below 0 are 0.
     """
     return _refitted(
         colour_sh, lambda values: _half_off(srgb.to_srgb(exposure * np.maximum(values + 0.5, 0.0)))

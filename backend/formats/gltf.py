@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """glTF 2.0 with ``KHR_gaussian_splatting``: Gaussians as the attributes of a primitive of points.
 
-As the extension has it that Khronos ratified in 2026: ``POSITION``; ``KHR_gaussian_splatting:ROTATION``
+As in the extension that Khronos ratified in 2026: ``POSITION``; ``KHR_gaussian_splatting:ROTATION``
 (xyzw), ``:SCALE`` (linear standard deviations), ``:OPACITY`` (0…1) and ``:SH_DEGREE_l_COEF_n``, whose colour
 is SH_C0·sh_0 + ½ + higher toward the direction from the camera, display-referred. ``colorSpace`` says whether
 colours are blended as sRGB codes, or as linear values that are encoded after blending. Y is up. For programs
@@ -49,7 +49,7 @@ COMPONENTS = {
 FLOAT, USHORT = 5126, 5123
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 POINTS, ARRAY_BUFFER = 0, 34962
-#: A node may be so deep in others.
+#: How deep nodes may be nested.
 DEEPEST = 64
 REMEDY = "Export it again: it may be cut off, or use a part of glTF that is not read here."
 
@@ -329,7 +329,7 @@ class _Gltf:
         if space not in SPACES or kernel != "ellipse":
             raise BadValueError(
                 f"{self.path}: colour space {space!r:.40}, kernel {kernel!r:.40}",
-                f"What is read: {' and '.join(SPACES)}, ellipse.",
+                f"Supported are {' and '.join(SPACES)}, ellipse.",
             )
         names = primitive.get("attributes")
         if not isinstance(names, dict):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gaussians of a scene's file where its nodes put them, as one cloud."""
+"""Gaussians of a scene file, placed by its nodes, as one cloud."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,14 +17,14 @@ from ...bridge.splat_files.usable import ABSURD
 NO_TURN = 1e-7
 #: Columns of a node's matrix are perpendicular to this.
 SHEAR = 1e-4
-#: So many Gaussians may come of a file that names its own again and again, and so many times what it holds.
+#: How many Gaussians a file may make by repeating its own, and how many times what it holds.
 FREE, MOST_TIMES = 1_000_000, 8
 
 
 def moved(path: Path, cloud: SplatCloud, matrix: np.ndarray) -> SplatCloud:
     """``cloud`` under a node's ``matrix`` ``[4, 4]``: places, ellipsoids and colours.
 
-    Ellipsoids that are none (their axes cannot be found) get NaN as their scale: they are left out later.
+    Degenerate ellipsoids (without axes) get NaN as their scale: they are ignored later.
 
     Raises ``FileDamagedError`` where the matrix is flat or not finite, ``BadValueError`` where it shears or
     mirrors, under which colours are not known.
@@ -59,12 +59,12 @@ def joined(path: Path, clouds: Sequence[SplatCloud], stored: int) -> SplatCloud:
     """All Gaussians as one cloud, of the highest degree among them.
 
     ``stored``: how many different ones the file holds. Raises ``BadValueError`` where it repeats them beyond
-    what anybody would draw.
+    what anybody would render.
     """
     total = sum(cloud.count for cloud in clouds)
     if total > max(FREE, MOST_TIMES * stored):
         raise BadValueError(
-            f"{path} repeats its {stored} Gaussians until they are {total}", "Leave repetitions out."
+            f"{path} repeats its {stored} Gaussians until they are {total}", "Remove repetitions."
         )
     if len(clouds) == 1:
         return clouds[0]

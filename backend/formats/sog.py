@@ -4,7 +4,7 @@
 Pixel i of each plane, row by row, belongs to Gaussian i; channels are bytes.
 
 * ``means``: two planes, low and high bytes of 16 bits between ``mins`` and ``maxs``; x = sign(n)(e^|n| − 1).
-* ``quats``: three smallest components × √2, and in alpha 252 + which one is left out (w, x, y, z).
+* ``quats``: three smallest components × √2, and in alpha 252 + the index of the omitted one (w, x, y, z).
 * ``scales``: ln of the standard deviations; ``sh0``: f_dc, and in alpha the opacity.
 * ``shN``: the higher SH as a palette. ``labels`` has each Gaussian's entry (R low, G high byte), and
   ``centroids`` 64 entries a row, a pixel a coefficient.
@@ -12,7 +12,7 @@ Pixel i of each plane, row by row, belongs to Gaussian i; channels are bytes.
 Version 2 has a ``codebook`` of 256 numbers for each of scales, sh0 and shN, version 1 (which names no
 version) a range ``mins`` … ``maxs`` for each channel, and its opacity is a logit.
 
-A file that claims more Gaussians than so few bytes can hold is refused before memory is taken for them.
+A file that claims more Gaussians than so few bytes can hold is refused before memory is allocated.
 """
 
 import io
@@ -179,11 +179,11 @@ class _Sog:
     def _rotations(self) -> np.ndarray:
         codes = self._pixels("quats")
         others = (codes[:, :3] / 255.0 - 0.5) * math.sqrt(2.0)
-        left_out = codes[:, 3].astype(np.int64) - 252
+        largest_index = codes[:, 3].astype(np.int64) - 252
         rotation = np.zeros((self.count, 4))
         rotation[:, 0] = 1.0
         for largest in range(4):
-            rows = np.flatnonzero(left_out == largest)
+            rows = np.flatnonzero(largest_index == largest)
             smaller = [axis for axis in range(4) if axis != largest]
             rotation[rows[:, None], smaller] = others[rows]
             rest = 1.0 - np.square(others[rows]).sum(axis=1)
@@ -254,7 +254,7 @@ def _from_archive(path: Path, archive: zipfile.ZipFile) -> Fetch:
             raise FileDamagedError(f"{path} is not a readable SOG: it has no {name!r:.80}", REMEDY) from None
         if member.file_size > limit:
             raise FileDamagedError(
-                f"{path}: {name!r:.80} claims {member.file_size} bytes, where {limit} would be many", REMEDY
+                f"{path}: {name!r:.80} claims {member.file_size} bytes instead of at most {limit}", REMEDY
             )
         with damaged_where_it_fails(f"{path} is not a readable SOG", REMEDY), archive.open(member) as file:
             raw = file.read(limit + 1)
@@ -270,7 +270,7 @@ def _from_folder(path: Path) -> Fetch:
         if name == META:
             return read_bytes(path, REMEDY, limit)
         if PurePosixPath(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
-            raise FileDamagedError(f"{path}: {name!r:.80} is not the name of a file beside it", REMEDY)
+            raise FileDamagedError(f"{path}: {name!r:.80} does not name a file beside it", REMEDY)
         try:
             return read_bytes(path.parent / name, REMEDY, limit)
         except FileMissingError as error:

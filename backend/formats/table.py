@@ -54,14 +54,14 @@ def target_of(path: Path) -> Target:
     """The format that a file's name asks for; raises ``BadValueError`` naming those there are."""
     name = path.name.lower()
     if name.endswith(".compressed.ply"):
-        raise BadValueError(f"{path}: compressed PLY is read, not written", "Write .spz, or plain .ply.")
+        raise BadValueError(f"{path}: compressed PLY can be read, not written", "Write .spz, or plain .ply.")
     for target in TARGETS:
         if name.endswith(target.suffixes):
             return target
     suffix = path.suffix.lower()
     if suffix in _READ_ONLY:
         raise BadValueError(
-            f"{path}: {suffix} is read, not written",
+            f"{path}: {suffix} can be read, not written",
             f"Write {_READ_ONLY[suffix]}, and convert that with splat-transform or SuperSplat.",
         )
     known = ", ".join(each for target in TARGETS for each in target.suffixes)

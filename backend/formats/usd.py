@@ -9,7 +9,7 @@ says ``colorSpace:name``: ``lin_rec709_scene`` where we write, but for display c
 they are. Converters of PLY files name none, though their colours are display-referred sRGB, and are read as
 such.
 
-Needs usd-core (the extra ``usd``). Files are read in a process of its own (``apart.py``): OpenUSD crashes on
+Needs usd-core (the extra ``usd``). Files are read in a separate process (``apart.py``): OpenUSD crashes on
 damaged ones.
 """
 
@@ -65,7 +65,7 @@ def write_usd(path: Path, cloud: SplatCloud, up: Up = "z", comment: str = "", sp
     ``BadValueError`` (USD's up is Y or Z), ``PackageMissingError`` and ``OutputError``.
     """
     if up not in ("y", "z"):
-        raise BadValueError(f"a USD stage cannot say that its up is {up}", "Give --up z or --up y.")
+        raise BadValueError(f"a USD stage cannot state the up axis {up}", "Give --up z or --up y.")
     UsdVol, Usd, UsdGeom, Vt = volumes(), module("Usd"), module("UsdGeom"), module("Vt")
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if up == "z" else UsdGeom.Tokens.y)
@@ -132,30 +132,30 @@ def read_usd(path: Path) -> UsdSplats:
     """Read every ``ParticleField3DGaussianSplat`` of a stage, each where its transformation puts it.
 
     Raises ``FileMissingError``, ``FileDamagedError``, ``PackageMissingError``, and ``BadValueError`` where
-    there are no Gaussians, or colours of a space that is not known here.
+    there are no Gaussians, or colours of an unsupported space.
     """
     path = Path(path)
     regular_file(path, "Check the path, or choose another file.")
     needed("pxr", "usd-core", "a USD file")
-    told, arrays = apart(path, gaussians_of, str(path))
-    if not told["placed"]:
+    values, arrays = apart(path, gaussians_of, str(path))
+    if not values["placed"]:
         raise BadValueError(
             f"{path} has no Gaussians (ParticleField3DGaussianSplat)",
             "For meshes use Blender's own File > Import > Universal Scene Description.",
         )
-    fields = _fields(told, arrays)
-    in_metres = np.diag([told["metres"]] * 3 + [1.0])
+    fields = _fields(values, arrays)
+    in_metres = np.diag([values["metres"]] * 3 + [1.0])
     clouds = [
         moved(path, fields[field], in_metres @ matrix)
-        for (field, _), matrix in zip(told["placed"], arrays["matrices"], strict=True)
+        for (field, _), matrix in zip(values["placed"], arrays["matrices"], strict=True)
     ]
-    spaces = {space for _, space in told["placed"]}
+    spaces = {space for _, space in values["placed"]}
     unknown = spaces - {*LINEAR_SPACES, *SRGB_SPACES}
     kinds = {space in LINEAR_SPACES for space in spaces}
     if unknown or len(kinds) > 1:
         raise BadValueError(
             f"{path}: its Gaussians' colours are {', '.join(sorted(spaces)):.200}",
-            f"What is read: {RADIANCE} and {DISPLAY}, one of them in a file.",
+            f"Supported are {RADIANCE} and {DISPLAY}, one of them in a file.",
         )
     cloud = joined(path, clouds, sum(field.count for field in fields))
     if "" in spaces:
@@ -163,20 +163,18 @@ def read_usd(path: Path) -> UsdSplats:
     return UsdSplats(cloud, kinds.pop())
 
 
-_NAMES_NONE = (
-    "It names no colour space: its colours were taken as sRGB, as converters of PLY files write them."
-)
+_NAMES_NONE = "It names no colour space: treating its colours as sRGB, as converters of PLY files write them."
 
 
-def _fields(told: dict[str, Any], arrays: dict[str, np.ndarray]) -> list[SplatCloud]:
+def _fields(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> list[SplatCloud]:
     """What ``gaussians_of`` found, each field in its own space."""
     fields, start, start_of_sh = [], 0, 0
-    for count, coefficients in told["fields"]:
+    for count, coefficients in values["fields"]:
         rows = slice(start, start + count)
         sh = arrays["colour_sh"][start_of_sh : start_of_sh + count * coefficients]
         position, rotation, scale, opacity = (arrays[name][rows] for name in _OF_EACH)
         sh = sh.reshape(count, coefficients, 3)
-        fields.append(SplatCloud(position, rotation, scale, opacity, sh, up=told["up"]))
+        fields.append(SplatCloud(position, rotation, scale, opacity, sh, up=values["up"]))
         start, start_of_sh = rows.stop, start_of_sh + count * coefficients
     return fields
 

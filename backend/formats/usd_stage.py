@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What OpenUSD is asked about a stage of whatever origin: called by ``apart`` alone, in a process of its own.
+"""What OpenUSD reads from a stage of unknown origin: called by ``apart`` only, in a separate process.
 
-So it answers with numbers as they stand in the file; what they mean is worked out where they arrive.
+It answers with numbers as in the file; the caller interprets them.
 """
 
 import math
@@ -73,16 +73,16 @@ def gaussians_of(name: str) -> Answer:
             total += len(fields[numbers[original]]["position"])
             placed.append([numbers[original], _color_space(prim)])
             matrices.append(np.array(cache.GetLocalToWorldTransform(prim), np.float64).T)
-    told = {
+    values = {
         "up": up,
         "metres": metres,
         "fields": [[len(f["position"]), len(f["colour_sh"]) // len(f["position"])] for f in fields],
         "placed": placed,
     }
     if not fields:
-        return told, {}
+        return values, {}
     arrays = {each: np.concatenate([field[each] for field in fields]) for each in fields[0]}
-    return told, {**arrays, "matrices": np.stack(matrices)}
+    return values, {**arrays, "matrices": np.stack(matrices)}
 
 
 def _fields(path: Path, stage: Any, Usd: ModuleType, Vol: ModuleType) -> list[Any]:
@@ -91,7 +91,7 @@ def _fields(path: Path, stage: Any, Usd: ModuleType, Vol: ModuleType) -> list[An
     # Instances within instances: a few lines name more prims than could ever be visited.
     for count, prim in enumerate(stage.Traverse(Usd.TraverseInstanceProxies())):
         if count >= MOST_PRIMS:
-            raise BadValueError(f"{path} has more than {MOST_PRIMS} prims", "Leave repetitions out.")
+            raise BadValueError(f"{path} has more than {MOST_PRIMS} prims", "Remove repetitions.")
         if prim.IsA(Vol.ParticleField3DGaussianSplat):
             found.append(prim)
     return found
@@ -128,7 +128,7 @@ def _field(path: Path, prim: Any, Vol: ModuleType, time: Any) -> dict[str, np.nd
     count = len(position)
     degree = field.GetRadianceSphericalHarmonicsDegreeAttr().Get(time)
     if degree not in (0, 1, 2, 3):
-        raise BadValueError(f"{path}: {prim.GetPath()} has SH of degree {degree}", "Degrees 0 to 3 are read.")
+        raise BadValueError(f"{path}: {prim.GetPath()} has SH of degree {degree}", "Use degrees 0 to 3.")
 
     def each_of(name: str, width: int, default: list[float], times: int = 1) -> np.ndarray:
         found = values(name, width)
@@ -175,7 +175,7 @@ def camera_of(name: str, prim: str | None, most: int, remedy: str) -> Answer:
     times = first + np.arange(math.floor(last - first) + 1)
     with damaged_where_it_fails(unreadable, remedy):
         found = [camera.GetCamera(Usd.TimeCode(float(time))) for time in times]
-    told = {
+    values = {
         "path": str(camera.GetPath()),
         "up": "y" if Geom.GetStageUpAxis(stage) == Geom.Tokens.y else "z",
         "metres": float(Geom.GetStageMetersPerUnit(stage)),
@@ -194,7 +194,7 @@ def camera_of(name: str, prim: str | None, most: int, remedy: str) -> Answer:
     ]
     # Gf's matrices multiply rows from the left.
     poses = np.stack([np.array(each.transform, np.float64).T for each in found])
-    return told, {"times": times, "poses": poses, "lenses": np.array(lenses, np.float64)}
+    return values, {"times": times, "poses": poses, "lenses": np.array(lenses, np.float64)}
 
 
 def _the_one(name: str, cameras: list[Any], prim: str | None) -> Any:

@@ -8,9 +8,9 @@ from ...bridge import layouts
 from ...bridge.errors import FileMissingError
 from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerf, nerfstudio
 from .camera import Camera
-from .meaning import with_meaning
+from .picture_encodings import with_encodings
 from .plausible import with_warnings
-from .points import with_words_of_points
+from .points import with_point_message
 from .scene import Points, Scene, View
 
 __all__ = ["READERS", "Camera", "Points", "Scene", "View", "read_scene"]
@@ -49,7 +49,7 @@ def read_scene(root: Path | str, downscale: float | None = None, color_space: st
         raise FileMissingError(f"{root} is a file, not the folder of a data set", remedy)
     layout = layouts.layout_of(root)
     if layout is not None:
-        scene = with_meaning(READERS[layout.name](root, downscale), color_space)
-        return with_warnings(with_words_of_points(scene))
+        scene = with_encodings(READERS[layout.name](root, downscale), color_space)
+        return with_warnings(with_point_message(scene))
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
     raise FileMissingError(f"{root} {state}: looked for {layouts.looked_for()}", remedy)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colours that a file tells by numbers (ITU-T H.273): primaries and a transfer curve, as HEIF and AVIF do.
+"""Colours that a file states by numbers (ITU-T H.273): primaries and a transfer curve, as HEIF and AVIF do.
 
 They become a ``Profile``, as an ICC profile does. Of pictures for displays of more than white the curve
-matters, too: PQ's (ITU-R BT.2100) goes to 10,000 cd/m², of which few displays show a tenth. So 1 is
-1000 cd/m² there, what BT.2100 has HLG's displays reach, and in HLG the largest code; what is above is white.
+matters, too: PQ's (ITU-R BT.2100) goes to 10,000 cd/m², of which few displays show a tenth. Here 1 is
+1000 cd/m², what BT.2100 has HLG's displays reach, and in HLG the largest code; what is above is white.
 """
 
 import math
@@ -16,7 +16,7 @@ from ...bridge.errors import BadValueError
 from .color_space import D65, SPACES, Chromaticities
 from .icc import Curve, Profile
 
-#: The number that says nothing; taken as sRGB, which a file without colours is (MIAF, ISO/IEC 23000-22).
+#: The number for unspecified, treated as sRGB, which a file without colours is (MIAF, ISO/IEC 23000-22).
 UNSPECIFIED = 2
 #: PQ's largest luminance, and the one that is 1, in cd/m².
 PQ_MOST, PQ_WHITE = 10_000.0, 1000.0
@@ -71,9 +71,9 @@ HDR_CURVES: dict[int, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {16: ("P
 
 
 def profile_of_code_points(primaries: int, transfer: int) -> Profile | None:
-    """What pictures with these numbers are converted by; None where they are sRGB's but for the curve.
+    """The profile of pictures with these numbers; None where they are sRGB's except for the curve.
 
-    Raises ``BadValueError`` for numbers that are of no such primaries or curve.
+    Raises ``BadValueError`` for numbers of other primaries or curves.
     """
     if primaries == UNSPECIFIED:
         primaries = 1

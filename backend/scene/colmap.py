@@ -30,7 +30,7 @@ from .colmap_brackets import (
     turn,
     with_pictures,
 )
-from .colmap_model import SparseModel, other_models_in_words, read_model
+from .colmap_model import SparseModel, other_model_messages, read_model
 from .exposures import MOST_UNKNOWN, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .poses import (
@@ -39,12 +39,12 @@ from .poses import (
     Views,
     at_size_of_pictures,
     check_numbers,
-    masks_in_words,
-    missing_in_words,
+    mask_messages,
+    missing_message,
     numbered,
     size_of_bracket,
     sizes_of,
-    skipped_in_words,
+    skipped_messages,
     split_somehow,
     widest,
 )
@@ -62,7 +62,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
     ``downscale``: None is 3DGS's convention, the widest picture at most 1600 pixels wide and all others by
     the same factor. It counts from the pictures that are there, which may be reduced ones (``images_4``).
-    Pictures of the model that are missing are left out and counted. Raises ``FileMissingError``,
+    Pictures of the model that are missing are skipped and counted. Raises ``FileMissingError``,
     ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the file and the remedy.
     """
     pictures = folder_there(root / PICTURES)
@@ -127,21 +127,21 @@ def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPo
     spread = float(np.ptp([model.camera(image).position for image in model.images], axis=0).max())
     there = pictures_in(pictures)
     groups, alone, messages = grouped(model, there, spread)
-    messages = [*other_models_in_words(folder), *messages]
+    messages = [*other_model_messages(folder), *messages]
     if pictures.name != PICTURES:
-        messages.append(f"pictures from {pictures.name}/, for there is no {PICTURES}/")
+        messages.append(f"pictures from {pictures.name}/, because there is no {PICTURES}/")
     names = (name for group in groups for name in group.names.values())
     paths = {name: picture_there(path_inside(pictures, name, folder)) for name in names}
     sizes, faults = sizes_of(paths.values())
     usable = {name: path for name, path in paths.items() if path in sizes}
     everything, groups = groups, with_pictures(groups, usable)
     share = len(groups) / len(everything)
-    messages += skipped_in_words("pictures of the model", len(paths), faults, pictures, share)
+    messages += skipped_messages("pictures of the model", len(paths), faults, pictures, share)
     for group in groups:
         size_of_bracket([usable[name] for name in group.names.values()], sizes)
     bracketed = any(len(group.names) > 1 for group in groups)
-    seconds, told = _exposures(groups, pictures, usable, stated, must=bracketed)
-    messages.append(told)
+    seconds, message = _exposures(groups, pictures, usable, stated, must=bracketed)
+    messages.append(message)
     most_lost = 1.0 if stated is None else most_unknown
     groups, unstated = _of_known(groups, seconds, folder, most_lost)
     messages += unstated
@@ -149,8 +149,8 @@ def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPo
     pair = alike(groups, seconds) if bracketed else None
     if pair:
         messages.append(
-            f"names like brackets, but '{pair[0]}' and '{pair[1]}' have one exposure: each picture in the "
-            "model is a view of its own"
+            f"names like brackets, but '{pair[0]}' and '{pair[1]}' have one exposure: each picture of the "
+            "model is a separate view"
         )
         groups = with_pictures(single(model.images), usable)
         groups, _ = _of_known(groups, seconds, folder, most_lost)
@@ -164,36 +164,36 @@ def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPo
         poses.append(at_size_of_pictures(pose, sizes, folder))
     if all(len(pose.pictures) == 1 for pose in poses):
         messages.append("one exposure a view: 'physhdr prepare' groups photographs into brackets")
-    messages += _unsteady_in_words(model, groups, spread)
+    messages += _unsteady_messages(model, groups, spread)
     skipped = {name for name in paths if name not in usable or name not in seconds}
     used = {name for group in groups for name in group.names.values()} | skipped
-    messages += _unused_in_words(there, used, pictures)
-    missing = missing_in_words([pose for pose in poses if pose.name not in alone])
-    messages += masks_in_words(poses)
+    messages += _unused_messages(there, used, pictures)
+    missing = missing_message([pose for pose in poses if pose.name not in alone])
+    messages += mask_messages(poses)
     return FoundPoses(root, numbered(root, poses), model.points, (*messages, *([missing] if missing else [])))
 
 
-def _unsteady_in_words(model: SparseModel, groups: Sequence[Group], spread: float) -> tuple[str, ...]:
-    """How far the cameras of one bracket are apart and turned, where that is worth a message."""
+def _unsteady_messages(model: SparseModel, groups: Sequence[Group], spread: float) -> tuple[str, ...]:
+    """A message where cameras of one bracket are far apart or turned."""
     apart = max(moved(model, group) for group in groups)
     turned = max(turn(model, group, image) for group in groups for image in group.registered)
-    told = []
+    moves = []
     if apart > STEADY * spread:
-        told.append(f"up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' spread)")
+        moves.append(f"up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' spread)")
     if turned > STEADY_TURN:
-        told.append(f"turned by up to {turned:.2g}°")
+        moves.append(f"turned by up to {turned:.2g}°")
     takes = "each view takes that of the picture with the most points"
-    return (f"cameras of one bracket are {' and '.join(told)}: {takes}",) if told else ()
+    return (f"cameras of one bracket are {' and '.join(moves)}: {takes}",) if moves else ()
 
 
-def _unused_in_words(there: Sequence[str], used: Iterable[str], pictures: Path) -> tuple[str, ...]:
-    """How many of the pictures ``there`` no pose has, where any; most of all what COLMAP has not placed."""
-    known = {name.casefold() for name in used}  # as file systems compare that do not tell a.jpg from a.JPG
+def _unused_messages(there: Sequence[str], used: Iterable[str], pictures: Path) -> tuple[str, ...]:
+    """A message on pictures ``there`` that no pose has, mostly because COLMAP could not place them."""
+    known = {name.casefold() for name in used}  # some file systems treat a.jpg and a.JPG as one
     unused = [name for name in there if name.casefold() not in known]
     if not unused:
         return ()
     return (
-        f"{len(unused)} of {len(there)} pictures in {pictures.name}/ are not used: the model does not have "
+        f"{len(unused)} of {len(there)} pictures in {pictures.name}/ are not used: the model lacks "
         f"them (first: {unused[0]:.200})",
     )
 
@@ -206,7 +206,7 @@ def _exposures(
     *,
     must: bool,
 ) -> tuple[dict[str, float], str]:
-    """Seconds by picture name, and where they are from. ``must``: without any, there is no assuming 1 s."""
+    """Seconds by picture name, and a message on their origin. ``must``: without any, 1 s is not assumed."""
     names = [name for group in groups for name in group.names.values()]
     if stated is not None:
         by_suffix = {_small_suffix(name): seconds for name, seconds in stated.items()}
@@ -219,15 +219,15 @@ def _exposures(
         return {name: seconds for name, seconds in known if seconds is not None}, from_exif[1]
     if must:
         raise DataMismatchError(
-            f"{pictures}: the pictures are brackets by their names ({', '.join(names[:3])} …), but nothing "
-            f"tells their exposures: no {EXPOSURE_FILE}, no EXIF data",
+            f"{pictures}: the pictures are named as brackets ({', '.join(names[:3])} …), but nothing "
+            f"states their exposures: no {EXPOSURE_FILE}, no EXIF data",
             SAY_EXPOSURES,
         )
-    return dict.fromkeys(names, 1.0), "no exposures are known: taken as one exposure of 1 s for all pictures"
+    return dict.fromkeys(names, 1.0), "no exposures are known: assuming 1 s for all pictures"
 
 
 def _small_suffix(name: str) -> str:
-    """``a.JPG`` → ``a.jpg``: names that differ so are of one picture."""
+    """``a.JPG`` → ``a.jpg``: names that differ only in this are one picture's."""
     stem, dot, suffix = name.rpartition(".")
     return stem + dot + suffix.lower()
 
@@ -237,7 +237,7 @@ def _of_known(
 ) -> tuple[list[Group], tuple[str, ...]]:
     """The groups without pictures of unknown exposure, and without those that are left with none; messages.
 
-    Raises ``DataMismatchError`` where these are more than a share ``most_lost``; 1: all is said already.
+    Raises ``DataMismatchError`` where these are more than a share ``most_lost``; 1: reported already.
     """
     left = [
         Group(group.name, {k: name for k, name in group.names.items() if name in seconds}, group.registered)
@@ -250,9 +250,9 @@ def _of_known(
     first = next(iter(lost[0].names.values()))
     if len(lost) > most_lost * len(groups):
         raise DataMismatchError(
-            f"{EXPOSURE_FILE} has no exposure for '{first}', which {folder} has: so for {len(lost)} "
-            f"of {len(groups)} poses",
+            f"{EXPOSURE_FILE} has no exposure for '{first}', which {folder} has (as for {len(lost)} "
+            f"of {len(groups)} poses)",
             SAY_EXPOSURES,
         )
-    told = f"{EXPOSURE_FILE} has no exposure for {len(lost)} of {len(groups)} poses"
-    return left, (f"{told}: skipped (first: {first:.200})",)
+    message = f"{EXPOSURE_FILE} has no exposure for {len(lost)} of {len(groups)} poses"
+    return left, (f"{message}: skipped (first: {first:.200})",)

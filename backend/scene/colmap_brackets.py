@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which pictures of a COLMAP model belong to one pose: brackets by name, where names are of brackets."""
+"""Which pictures of a COLMAP model belong to one pose: brackets, where names say so."""
 
 import math
 import re
@@ -15,7 +15,7 @@ from .camera import Camera
 from .colmap_model import SparseImage, SparseModel
 
 #: Pictures whose cameras are farther apart than this share of the cameras' spread are no bracket: a hand does
-#: not move so far.
+#: not move that far.
 FAR = 0.1
 #: Nor does it turn so far, degrees: beyond, they are views around from one place.
 TURNED = 10.0
@@ -41,8 +41,8 @@ def grouped(
     messages = []
     if strays:
         messages.append(
-            f"{len(strays)} of {len(model.images)} pictures of the model are of no bracket by their names: "
-            f"each is a view of its own (first: {strays[0].registered[0].name:.200})"
+            f"{len(strays)} of {len(model.images)} pictures of the model are not named as brackets: "
+            f"each is a separate view (first: {strays[0].registered[0].name:.200})"
         )
     groups, alone = sorted([*groups, *strays], key=lambda group: group.name), list(strays)
     far = [group for group in groups if moved(model, group) > FAR * spread]
@@ -51,14 +51,14 @@ def grouped(
         for group in groups
         if group not in far
     }
-    # COLMAP may turn one picture of a bracket wrongly, as a dark one: the others tell where the camera was.
+    # COLMAP may orient a dark picture of a bracket wrongly; the others show where the camera was.
     turned = [group for group, images in away.items() if 2 * len(images) >= len(group.registered)]
     for some, are in ((far, "are far apart"), (turned, "look in different directions")):
         if some:
             names = ", ".join(f"'{group.name}_…'" for group in some)
             messages.append(
                 f"names like brackets, but the cameras of {names} {are}: each of their pictures in the model "
-                "is a view of its own"
+                "is a separate view"
             )
     odd = [image.name for group, images in away.items() if group not in turned for image in images]
     if odd:
@@ -125,7 +125,7 @@ def _brackets_by_name(images: list[SparseImage], there: Sequence[str]) -> tuple[
 
 
 def placed(groups: list[Group], alone: set[str], seconds: dict[str, float]) -> list[Group]:
-    """The groups, each single picture in ``alone`` at the brackets' place that is exposed most like it."""
+    """The groups, each single picture in ``alone`` at the brackets' place whose exposure is closest."""
     logs: dict[int, list[float]] = {}
     for group in groups:
         if group.name not in alone:
@@ -145,7 +145,7 @@ def placed(groups: list[Group], alone: set[str], seconds: dict[str, float]) -> l
 
 
 def alike(groups: list[Group], seconds: dict[str, float]) -> tuple[str, str] | None:
-    """Two pictures of one pose with one exposure: a bracket has none."""
+    """Two pictures of one pose with one exposure, which brackets do not have."""
     for group in groups:
         seen: dict[float, str] = {}
         for name in group.names.values():

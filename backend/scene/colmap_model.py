@@ -78,18 +78,18 @@ class SparseModel:
         return self.cameras[image.camera]
 
 
-def other_models_in_words(model: Path) -> tuple[str, ...]:
-    """What is said of the models beside the one that is read; () without any."""
+def other_model_messages(model: Path) -> tuple[str, ...]:
+    """A message on the models beside the one that is read; () without any."""
     others = (
         [folder for folder in models_in(model.parent) if folder != model] if model.name.isdecimal() else []
     )
     if not others:
         return ()
     name = model.parent.name
-    told = ", ".join(f"{name}/{folder.name} of {picture_count(folder)}" for folder in others)
+    names = ", ".join(f"{name}/{folder.name} of {picture_count(folder)}" for folder in others)
     return (
         f"{name}/{model.name}, which has the most pictures ({picture_count(model)}), is used, and not "
-        f"{told}: models of other parts of the pictures, which COLMAP could not put together",
+        f"{names}: models of other parts of the pictures, which COLMAP could not put together",
     )
 
 
@@ -109,8 +109,8 @@ def read_model(folder: Path) -> SparseModel:
     images.sort(key=lambda image: image.name)
     for one, other in pairwise(images):
         if one.name == other.name:
-            told = f"{folder / f'images.{kind}'} holds the picture '{one.name}' twice"
-            raise DataMismatchError(told, RUN_AGAIN)
+            message = f"{folder / f'images.{kind}'} holds the picture '{one.name}' twice"
+            raise DataMismatchError(message, RUN_AGAIN)
     return SparseModel(folder, cameras, images, points)
 
 
@@ -121,8 +121,8 @@ def _points_of(path: Path, positions: np.ndarray, colours: np.ndarray) -> Points
         raise FileDamagedError(f"{path} holds NaN or infinity", RUN_AGAIN)
     near = are_near(path, positions)
     shades = (colours[near] / 255.0).astype(np.float32)
-    left_out = int(np.count_nonzero(~near))
-    return Points(positions[near].astype(np.float32), shades, STRUCTURE_FROM_MOTION, left_out=left_out)
+    ignored = int(np.count_nonzero(~near))
+    return Points(positions[near].astype(np.float32), shades, STRUCTURE_FROM_MOTION, ignored=ignored)
 
 
 def _points_bin(path: Path) -> Points | None:

@@ -31,8 +31,8 @@ class Chromaticities:
         believable = np.isfinite(primaries).all() and (np.abs(primaries) < 10.0).all()
         if not (believable and abs(np.linalg.det(columns[:, :3])) > 1e-4 and primaries[3, 1] > 1e-3):
             raise BadValueError(
-                f"the chromaticities {primaries.tolist()} are those of no colour space",
-                f"Say which it is: --color-space, one of {', '.join(NAMES)}.",
+                f"the chromaticities {primaries.tolist()} describe no colour space",
+                f"Name it by --color-space, one of {', '.join(NAMES)}.",
             )
         white = columns[:, 3] / primaries[3, 1]
         return columns[:, :3] * np.linalg.solve(columns[:, :3], white)
@@ -71,9 +71,9 @@ def space_named(name: str) -> Chromaticities:
 
 def known(chromaticities: Chromaticities) -> tuple[Chromaticities, str]:
     """The space that a file's chromaticities are of, exactly where they are rounded, and its name or ""."""
-    told = np.array([chromaticities.red, chromaticities.green, chromaticities.blue, chromaticities.white])
+    stated = np.array([chromaticities.red, chromaticities.green, chromaticities.blue, chromaticities.white])
     for name, space in SPACES.items():
         exact = np.array([space.red, space.green, space.blue, space.white])
-        if np.abs(told - exact).max() < ALIKE:
+        if np.abs(stated - exact).max() < ALIKE:
             return space, name
     return chromaticities, ""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a picture's codes came of exposure × radiance: by a camera's unknown response, or by a known curve.
+"""How a picture's codes follow from exposure × radiance: by a camera's unknown response, or by a known curve.
 
 A picture is integers ``[H, W, 3]`` of 8 or 16 bits; its *values* are codes over the code that stands for 1
-(``Encoding.unit``), and a loss compares values. A camera's response is learned. The others are known: what
-such a picture says of exposure × radiance needs no learning, and the same curve, which is differentiable
+(``Encoding.unit``), and a loss compares values. A camera's response is learned. The others are known: such a
+picture's exposure × radiance needs no learning, and the same curve, which is differentiable
 (``developed``), makes of rendered radiance what it is compared with.
 """
 
@@ -21,8 +21,8 @@ from ...bridge.errors import BadValueError
 LARGEST = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 #: μ of ``LogEncoding``: that of the HDR protocol's μ-law. The curve is nearly a logarithm above scale / μ.
 MU = 5000.0
-#: Exposure × radiance (white is about 1) below which nothing is told apart, and how much brighter than white
-#: the model may make what is white even in its shortest exposure.
+#: Exposure × radiance (white is about 1) below which nothing is distinguished, and how much brighter than
+#: white the model may make what is white even in its shortest exposure.
 DARKEST_SEEN, BRIGHTEST_CLIPPED = 1.0 / 5000.0, 200.0
 #: The largest value that codes of ``LogEncoding`` hold: there x / scale is (1 + μ)² / μ, which is 12 stops.
 REACH = 2.0
@@ -34,19 +34,19 @@ class Encoding(ABC):
 
     @property
     def is_known(self) -> bool:
-        """Whether codes tell exposure × radiance without a learned response."""
+        """Whether codes give exposure × radiance without a learned response."""
         return True
 
     @property
     def clips(self) -> bool:
-        """Whether a largest code says no more than "at least so much"."""
+        """Whether the largest code means "at least this much"."""
         return True
 
     @property
     def span(self) -> tuple[float, float]:
-        """Least and greatest exposure × radiance that a training should be able to draw for such pictures.
+        """Least and greatest exposure × radiance that training should be able to render for such pictures.
 
-        Of what clips, no code says how bright it is: it is seen through another exposure, or stays unknown.
+        How bright clipped areas are shows in another exposure, or stays unknown.
         """
         return DARKEST_SEEN, BRIGHTEST_CLIPPED
 
@@ -56,7 +56,7 @@ class Encoding(ABC):
 
     @abstractmethod
     def encode(self, exposed: np.ndarray) -> np.ndarray:
-        """Values of exposure × radiance, float64 of any shape; what is below 0 becomes 0."""
+        """Values of exposure × radiance, float64 of any shape; values below 0 become 0."""
 
     @abstractmethod
     def decode(self, values: np.ndarray) -> np.ndarray:
@@ -69,8 +69,8 @@ class Encoding(ABC):
     def towards(self, exposed: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """``developed`` for a loss that compares it with a picture's ``values``, of the same shape.
 
-        Where the picture itself does not clip, the curve goes on above white: what is drawn too bright must
-        know its way back, and a clipped prediction would have no gradient.
+        Where the picture itself does not clip, the curve continues above white: what is rendered too bright
+        must find its way back, and a clipped prediction would have no gradient.
         """
         return self.developed(exposed)
 
@@ -90,7 +90,7 @@ class Encoding(ABC):
 
 @dataclass(frozen=True)
 class CameraEncoding(Encoding):
-    """A response that nobody has told: it is learned."""
+    """An unknown response: it is learned."""
 
     @property
     def is_known(self) -> bool:
@@ -110,7 +110,7 @@ class CameraEncoding(Encoding):
 
     @staticmethod
     def _unknown() -> BadValueError:
-        return BadValueError("a camera's response is not known: it has to be learned")
+        return BadValueError("a camera's response is unknown: it has to be learned")
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ LARGEST_APEX = 40.0
 #: Bytes of a PNG's signature, of a chunk's checksum, and of a text's keyword at most (PNG, 5.2, 5.3, 11.3.3).
 PNG_SIGNATURE, CHECKSUM, LONGEST_KEYWORD = 8, 4, 79
 #: Texts of a PNG in which there may be EXIF or an orientation.
-TELLING_TEXTS = (b"Raw profile type exif", b"XML:com.adobe.xmp")
+EXIF_TEXTS = (b"Raw profile type exif", b"XML:com.adobe.xmp")
 #: Chunks of a PNG that are looked at: writers make one of each 8 KB or more.
 MOST_CHUNKS = 1 << 18
 #: TIFF's tag of the places of the pictures inside.
@@ -51,7 +51,7 @@ Tags = Mapping[int, Any]
 class Exif:
     """What a camera wrote of a picture's exposure; None where it did not. ``time``: seconds.
 
-    ``bias``: by how many stops the photographer had it exposed more. ``brightness``: APEX's Bv, log2 of what
+    ``bias``: the photographer's exposure compensation, stops. ``brightness``: APEX's Bv, log2 of what
     the camera metered.
     """
 
@@ -64,7 +64,7 @@ class Exif:
 
 @dataclass(frozen=True)
 class ComparableExposures:
-    """``seconds`` for each picture, at ISO 100 and at ``f_number``, the pictures' median (None: not told)."""
+    """``seconds`` for each picture, at ISO 100 and at ``f_number``, the pictures' median (None: unstated)."""
 
     seconds: list[float]
     f_number: float | None
@@ -73,8 +73,8 @@ class ComparableExposures:
 def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
     """time × ISO / 100 × (F_median / F)² for each picture: equal radiance then gives equal exposure.
 
-    Every picture must tell its time. An ISO or an aperture that no picture states (a manual lens) is the same
-    for all and cancels; that all tell it or none is the callers' to check.
+    Every picture must state its time. An ISO or an aperture that no picture states (a manual lens) is the
+    same for all and cancels; callers check that all state it or none.
     """
     f_numbers = [picture.f_number for picture in pictures if picture.f_number is not None]
     median = statistics.median(f_numbers) if f_numbers else None
@@ -84,7 +84,7 @@ def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
         gain = (picture.iso or 100.0) / 100.0
         if median is not None and picture.f_number is not None:
             ratio = median / picture.f_number
-            gain *= ratio * ratio  # infinite where ** would raise; that is the callers' to refuse
+            gain *= ratio * ratio  # infinite where ** would raise; callers refuse that
         seconds.append(picture.time * gain)
     return ComparableExposures(seconds, median)
 
@@ -105,12 +105,12 @@ def tags_of_file(path: Path) -> Tags:
                 with open_with_pillow(path, READABLE) as picture:
                     return tags_of(picture)
     except PhysHDRError:
-        pass  # the reader of pictures says what is wrong with the file
+        pass  # the reader of pictures reports what is wrong with the file
     return {}
 
 
 def tags_of(picture: Image.Image) -> Tags:
-    """The EXIF tags of an open picture; {} where they are damaged: whoever needs one names its lack."""
+    """The EXIF tags of an open picture; {} where they are damaged: callers report what they lack."""
     try:
         return _all_of(_exif_of(picture))
     except UNREADABLE:
@@ -123,13 +123,13 @@ def _exif_of(picture: Image.Image) -> Image.Exif:
         isinstance(picture, PngImagePlugin.PngImageFile)
         and "exif" not in picture.info
         and picture.filename
-        and not _is_told_behind_pixels(picture.filename)
+        and not _is_behind_pixels(picture.filename)
     ):
         return Image.Image.getexif(picture)
     return picture.getexif()
 
 
-def _is_told_behind_pixels(path: str | bytes) -> bool:
+def _is_behind_pixels(path: str | bytes) -> bool:
     """Whether a PNG has EXIF or XMP behind its pixels, as far as its chunks are undamaged."""
     pixels = False
     with open(path, "rb") as file:
@@ -145,7 +145,7 @@ def _is_told_behind_pixels(path: str | bytes) -> bool:
                 return True
             elif pixels and kind in (b"tEXt", b"zTXt", b"iTXt"):
                 start = file.read(min(length, LONGEST_KEYWORD + 1))
-                if start.partition(b"\0")[0] in TELLING_TEXTS:
+                if start.partition(b"\0")[0] in EXIF_TEXTS:
                     return True
             file.seek(length - len(start) + CHECKSUM, os.SEEK_CUR)
     return False

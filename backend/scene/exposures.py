@@ -11,7 +11,7 @@ from ...bridge.limits import EXPOSURE
 from .exif import Exif, comparable, read_exif
 from .pictures import holds_radiance
 
-#: This share of the pictures may be of unknown exposure, and is left out. Of more it is for the user to say.
+#: This share of the pictures may be of unknown exposure, and is skipped; of more, the user must state them.
 MOST_UNKNOWN = 0.25
 #: What to do where an exposure is unknown.
 SAY_EXPOSURES = (
@@ -34,11 +34,11 @@ def read_exposure_file(path: Path) -> dict[str, float]:
 def exposures_from_exif(
     paths: Sequence[Path], remedy: str = SAY_EXPOSURES
 ) -> tuple[list[float | None], str] | None:
-    """Seconds for each picture, and in words where they are from; None where no picture says its time.
+    """Seconds for each picture, and a message on their origin; None where no picture states its time.
 
-    Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
-    picture tells it, counts as constant. A picture that holds radiance counts as exposed for 1 s. One that
-    does not tell what others tell is of unknown exposure (None) and counted in the words; raises
+    Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). An ISO or aperture that
+    *no* picture states counts as constant. A picture that holds radiance counts as exposed for 1 s. One that
+    lacks what others state is of unknown exposure (None) and counted in the message; raises
     ``DataMismatchError`` with ``remedy`` where these are more than ``MOST_UNKNOWN``, ``BadValueError`` where
     an exposure comes out absurd.
     """
@@ -51,25 +51,24 @@ def exposures_from_exif(
     seconds: dict[Path, float | None] = dict.fromkeys(paths, 1.0) | dict.fromkeys(lacking)
     for path, value in zip(known, exposures.seconds, strict=True):
         seconds[path] = EXPOSURE.check(value, f"{path}: the exposure by its EXIF data")
-    told = "exposures from EXIF, seconds at ISO 100"
+    message = "exposures from EXIF, seconds at ISO 100"
     if exposures.f_number is not None:
-        told += f" and f/{exposures.f_number:g}"
+        message += f" and f/{exposures.f_number:g}"
     if all(tag.iso is None for tag in known.values()):
-        told += "; no picture states its ISO: taken as constant"
+        message += "; no picture states its ISO: assuming it is constant"
     if exposures.f_number is None:
-        told += "; no picture states its aperture: taken as constant"
+        message += "; no picture states its aperture: assuming it is constant"
     if len(tags) < len(paths):
-        told += "; pictures that hold radiance count as 1 s"
+        message += "; pictures that hold radiance count as 1 s"
     if lacking:
         first, why = min(lacking.items())
-        told += (
-            f"; {len(lacking)} of {len(tags)} pictures do not tell theirs: skipped (first: {first} has {why})"
-        )
-    return [seconds[path] for path in paths], told
+        message += f"; skipping {len(lacking)} of {len(tags)} pictures without an exposure "
+        message += f"(first: {first} has {why})"
+    return [seconds[path] for path in paths], message
 
 
 def _lacking(tags: Mapping[Path, Exif], remedy: str) -> dict[Path, str]:
-    """The pictures that do not tell what others tell, and what that is; raises as ``exposures_from_exif``."""
+    """The pictures that lack what others state, and what that is; raises as ``exposures_from_exif``."""
     lacking: dict[Path, str] = {}
     for what, name in (("time", "exposure time"), ("iso", "ISO"), ("f_number", "aperture")):
         known = [path for path, tag in tags.items() if getattr(tag, what) is not None]

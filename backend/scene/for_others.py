@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Data sets as other programs know them: nerfstudio's ``transforms.json``, or a COLMAP folder (gsplat, 3DGS).
+"""Data sets in other programs' layouts: nerfstudio's ``transforms.json``, or a COLMAP folder (gsplat, 3DGS).
 
-Whatever a scene was read from, here it is pinhole cameras, pictures of a plain name each, first points and
-the split. A picture's file is taken as it is where that is the camera's own picture (an opaque RGB
+Whatever a scene was read from, it becomes pinhole cameras, pictures with plain names, first points and
+the split. A picture's file is copied as it is where that is the camera's own picture (an opaque RGB
 PNG or JPEG, at its size); else what training sees is written as PNG: without distortion, upright, reduced.
 Radiance and linear pictures, which those programs cannot read, go through the sRGB curve, clipped at 1.
 
@@ -46,7 +46,7 @@ PLAIN = {"PNG": ".png", "JPEG": ".jpg"}
 class How:
     """What is written. ``exposure``: a place in the brackets; None: the middle one. ``brackets``: all places.
 
-    ``link``: files that are taken as they are become hard links where the disk allows it.
+    ``link``: files that are copied unchanged become hard links where the disk allows it.
     """
 
     layout: Layout
@@ -57,7 +57,7 @@ class How:
 
 @dataclass
 class LaidOut:
-    """What was written: views by split, pictures by how they came, and what there is to say."""
+    """What was written: views by split, pictures by how they were made, and messages."""
 
     views: dict[str, int]
     copied: int = 0
@@ -68,7 +68,7 @@ class LaidOut:
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """A picture to be written: which of which view, and its name in ``images/`` without the suffix."""
+    """A picture to be written: its view and exposure, and its name in ``images/`` without the suffix."""
 
     view: View
     k: int
@@ -83,14 +83,14 @@ def lay_out(
     how: How,
     show: Callable[[int, int, str], None] = lambda done, total, what: None,
 ) -> LaidOut:
-    """Write ``scene`` into ``folder``, which is empty; ``show`` is told of each picture.
+    """Write ``scene`` into ``folder``, which is empty; ``show`` gets each picture.
 
     Raises ``BadValueError`` where no training view has the exposure, or brackets are too long for names,
     ``OutputError``, and what reading pictures raises.
     """
     chosen, messages = _chosen(scene, how)
     said = LaidOut({split: len({p.view.name for p in chosen if p.split == split}) for split in _splits(how)})
-    said.messages = [*messages, *_left_out(scene, how)]
+    said.messages = [*messages, *_ignored(scene, how)]
     if any(view.encodings[0].is_known for view in scene.train):
         said.messages.append(
             "radiance and linear pictures were developed by the sRGB curve and clip at 1: choose exposures "
@@ -131,16 +131,16 @@ def _splits(how: How) -> tuple[str, ...]:
     return (data_set.TRAIN, data_set.TEST, *more)
 
 
-def _left_out(scene: Scene, how: How) -> Iterable[str]:
-    """What of the scene has no place in the layout, in sentences."""
+def _ignored(scene: Scene, how: How) -> Iterable[str]:
+    """Messages on what the layout cannot hold."""
     if scene.lit:
-        yield f"{len(scene.lit)} views under other light were left out: no such program knows of light"
+        yield f"{len(scene.lit)} views under other light were ignored: no such program supports them"
     if scene.validation and data_set.VALIDATION not in _splits(how):
-        yield f"{len(scene.validation)} validation views were left out: a COLMAP folder has no such split"
+        yield f"{len(scene.validation)} validation views were ignored: a COLMAP folder has no such split"
 
 
 def _chosen(scene: Scene, how: How) -> tuple[list[_Picture], list[str]]:
-    """The pictures of all splits, sorted by name, and what there is to say of the choice."""
+    """The pictures of all splits, sorted by name, and messages on the choice."""
     places = sorted({place for view in scene.train for place in view.bracket})
     if not places:
         raise DataMismatchError(f"{scene.root} has no training views", "Give another data set.")
@@ -168,14 +168,14 @@ def _chosen(scene: Scene, how: How) -> tuple[list[_Picture], list[str]]:
             chosen += [
                 _Picture(view, k, split, _stem(base, view.bracket[k], how), k == middle) for k in which
             ]
-    messages = [f"{without} views have no exposure {main}: left out"] if without else []
+    messages = [f"{without} views have no exposure {main}: ignored"] if without else []
     return sorted(chosen, key=lambda picture: picture.stem), messages
 
 
 def _stem(base: str, place: int, how: How) -> str:
     """``train_003``, ``train_003_2`` in brackets; ``train_003_0`` alone in a COLMAP folder.
 
-    There a lone digit at the end is GaussHDR's, whose packaging our reader takes such a folder for.
+    There a lone digit at the end is GaussHDR's, which is how our reader would read such a folder.
     """
     if how.brackets:
         return f"{base}_{place}"
@@ -205,7 +205,7 @@ def _write_picture(picture: _Picture, folder: Path, how: How, said: LaidOut) -> 
 
 
 def _linked(source: Path, path: Path) -> bool:
-    """Whether the disk could link the file; not to another disk, and some know no links at all."""
+    """Whether the disk could link the file; not to another disk, and some support no links."""
     try:
         os.link(resolved(source), path)
     except OSError:
@@ -220,13 +220,13 @@ def _plain_suffix(view: View, k: int) -> str | None:
     if not is_whole or source.encoding.is_known or source.profile is not None:
         return None
     suffix = PLAIN.get(kind_of(source.path))
-    # Of grey and palettes those programs see one number a pixel, where they want three.
+    # Those programs read one number a pixel from grey and palettes, where they want three.
     is_plain = suffix is not None and is_rgb(source.path) and _is_opaque(source.path)
     return suffix if is_plain else None
 
 
 def _is_opaque(path: Path) -> bool:
-    """Whether a picture shows the same to programs that obey alpha and to those that do not."""
+    """Whether programs that apply alpha and those that ignore it show the same."""
     if not has_alpha(path):
         return True
     _, alpha = read_codes(path, with_alpha=True)
@@ -248,7 +248,7 @@ def _may_mask(source: PictureSource) -> bool:
 
 
 def _write_mask(picture: _Picture, path: Path) -> None:
-    """Black where the picture is not compared; white all over where it says nothing."""
+    """Black where the picture is not compared; white all over where it has no mask."""
     mask = picture.view.mask(picture.k)
     if mask is None:
         mask = np.ones((picture.view.camera.height, picture.view.camera.width), bool)
@@ -323,7 +323,7 @@ def _write_colmap(scene: Scene, folder: Path, names: Mapping[_Picture, str], how
 
 
 def _info(scene: Scene, how: How) -> dict[str, Any]:
-    """``dataset.json``: what pictures and poses do not tell: the scene's name, its response's known point."""
+    """``dataset.json``, for what pictures and poses do not state: the scene's name, its anchor."""
     info: dict[str, Any] = {
         "format": data_set.FORMAT,
         "version": data_set.VERSION,

@@ -25,8 +25,8 @@ from .poses import (
     all_sizes,
     at_size_of_pictures,
     check_numbers,
-    masks_in_words,
-    missing_in_words,
+    mask_messages,
+    missing_message,
     numbered,
     split_by_name,
     widest,
@@ -72,8 +72,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     split = split_by_name(poses)
     if split is None:
         raise DataMismatchError(
-            f"{folder}: the names of the pictures do not say 'train' or 'test', each one of them, or none is "
-            "for training",
+            f"{folder}: the names of the pictures do not all say 'train' or 'test', or none is for training",
             "Name them as train_000_0.jpg and test_007_0.jpg, in the model and in exposure.json.",
         )
     for poses_of_split, which in zip(split, ("train", "test"), strict=True):
@@ -91,8 +90,8 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         "split by names: they say 'train' or 'test'",
         *views.messages,
         f"exposures from {EXPOSURE_FILE}",
-        missing_in_words(poses),
-        *masks_in_words(poses),
+        missing_message(poses),
+        *mask_messages(poses),
         f"{unused} entries of {EXPOSURE_FILE} are of no pose in the model" if unused else None,
     ]
     return Scene(

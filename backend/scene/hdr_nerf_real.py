@@ -18,9 +18,9 @@ from ...bridge.errors import DataMismatchError
 from ...bridge.layouts import HDR_NERF_REAL
 from ...bridge.layouts.llff import PICTURES, POSES_FILE, middle_row, picture_names, pinhole_of, read_rows
 from .camera import Camera
-from .colmap_model import other_models_in_words, read_model
+from .colmap_model import other_model_messages, read_model
 from .info import read_anchor, read_info
-from .poses import PictureFile, Pose, Views, check_numbers, fitted, missing_in_words, one_size
+from .poses import PictureFile, Pose, Views, check_numbers, fitted, missing_message, one_size
 from .resize import Reduction
 from .scene import Points, Scene
 
@@ -64,7 +64,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         f"pictures from {folder.name}/; {made.messages[0]}",
         *made.messages[1:],
         f"exposures from {POSES_FILE}",
-        missing_in_words(poses),
+        missing_message(poses),
         *bracket_messages,
         *model_messages,
     ]
@@ -102,15 +102,17 @@ def _poses(
             farthest = max(farthest, float(np.linalg.norm(other - camera.position)))
         poses.append(Pose(f"{number:03d}", number, camera, pictures))
     if farthest > 0.0:
-        told = f"cameras of one bracket are up to {farthest:.2g} units apart: each view takes the middle one"
-        return poses, [told]
+        message = (
+            f"cameras of one bracket are up to {farthest:.2g} units apart: each view takes the middle one"
+        )
+        return poses, [message]
     return poses, []
 
 
 def _with_model(
     folder: Path, poses: list[Pose], size: tuple[int, int]
 ) -> tuple[list[Pose], Points | None, tuple[str, ...]]:
-    """The poses with COLMAP's cameras; those that it has not found are left out, and named."""
+    """The poses with COLMAP's cameras; those that it lacks are ignored and named."""
     model = read_model(folder)
     cameras = {}
     for image in model.images:
@@ -129,14 +131,16 @@ def _with_model(
         lens = None if lens is None else lens.resized(*size)
         camera = fitted(camera, size, folder, next(iter(pose.pictures.values())).path)
         placed.append(Pose(pose.name, pose.index, camera, pose.pictures, lens=lens))
-    told = f"cameras and points from {folder.relative_to(folder.parents[1]).as_posix()}, as HDR-GS has them"
+    message = (
+        f"cameras and points from {folder.relative_to(folder.parents[1]).as_posix()}, as HDR-GS has them"
+    )
     lost = ", ".join(pose.name for pose in poses if pose.index not in cameras)
     return (
         placed,
         model.points,
         (
-            told,
-            *other_models_in_words(folder),
-            *([f"poses that it does not have are left out: {lost}"] if lost else []),
+            message,
+            *other_model_messages(folder),
+            *([f"ignoring poses that it lacks: {lost}"] if lost else []),
         ),
     )

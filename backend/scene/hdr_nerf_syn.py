@@ -187,7 +187,7 @@ def _levels(
         if changed:
             raise BadValueError(
                 f"{path}: {which} has the lighting levels {in_words(changed):.200}",
-                "All views but those of the split 'lit' are under the standard light, at 1: move it there.",
+                "All views but those of the split 'lit' are under the standard light, at 1: move it.",
             )
         return (1.0,) * len(lights)
     if levels.get(AMBIENT) == 1.0 and AMBIENT not in lights:
@@ -259,8 +259,8 @@ def _require_one_geometry(root: Path, poses: list[Pose]) -> None:
     lens = next((pose.lens for pose in poses if pose.lens is not None), None)
     if truth and lens is not None:
         raise DataMismatchError(
-            f"{root}: its lens bends straight lines ({lens.in_words()}), which is taken out of pictures, but "
-            f"not out of the true radiance in {truth[0]}/: they could not be compared",
+            f"{root}: its lens bends straight lines ({lens.in_words()}), which is removed from pictures, but "
+            f"not from the true radiance in {truth[0]}/: they could not be compared",
             f"Undistort pictures and radiance beforehand, and remove k1 and the like from transforms_*.json; "
             f"or move {', '.join(folder + '/' for folder in truth)} away.",
         )

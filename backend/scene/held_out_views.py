@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which views of a capture are for testing, where nothing else says so: some that others surround.
+"""Which views of a capture are for testing, where nothing states them: some that others surround.
 
 Who walks along something and takes every eighth picture for testing from the first one on takes the end of
 the path, too: what is seen from there only is then trained by nothing, and the numbers tell of that alone.
@@ -12,7 +12,7 @@ testing together, or for training: else each would be tested where its sibling w
 
 import numpy as np
 
-#: Of so many views one is for testing, as 3DGS has it.
+#: One of so many views is for testing, as in 3DGS.
 EVERY = 8
 #: Neighbours among which there must be two on opposite sides.
 NEIGHBOURS = 8
@@ -46,7 +46,7 @@ def held_out_places(positions: np.ndarray, directions: np.ndarray, every: int = 
     last = len(everything) - 1
     inner = {i for i, group in enumerate(groups) if 0 not in group and last not in group}
     chosen: list[int] = []
-    # What is left over at the end is a stretch of its own from half of one on.
+    # A rest at the end is a stretch of its own if it is at least half of one.
     for start in range(0, max(count - every // 2, 1), every):
         stretch = range(start, min(start + every, count))
         middle = start + len(stretch) // 2

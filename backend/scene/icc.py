@@ -177,19 +177,19 @@ def read_profile(raw: bytes) -> Profile:
         tags = _tags(raw)
         name = _name(tags.get(b"desc", b"")) or name
         if raw[16:20] != b"RGB " or raw[20:24] != b"XYZ ":
-            raise ValueError("it is not of red, green and blue")
+            raise ValueError("it is not RGB")
         columns = np.stack([_colorant(tags[tag]) for tag in (b"rXYZ", b"gXYZ", b"bXYZ")], axis=1)
         curves = (_curve(tags[b"rTRC"]), _curve(tags[b"gTRC"]), _curve(tags[b"bTRC"]))
         matrix = np.linalg.inv(_rec709_at_d50()) @ columns
         white = matrix.sum(axis=1)
         if not np.isfinite(matrix).all() or np.abs(white - 1.0).max() > WHITE_TOLERANCE:
-            raise ValueError("its colorants add up to no white")
+            raise ValueError("its colorants do not add up to white")
         if abs(np.linalg.det(matrix)) < 1e-3:
             raise ValueError("its colorants are not primaries")
     except (struct.error, KeyError, ValueError, IndexError, ZeroDivisionError) as error:
         why = f"it has no {error.args[0].decode('latin-1')}" if isinstance(error, KeyError) else str(error)
         raise BadValueError(
-            f"the ICC profile '{name}' does not tell three primaries with a curve each: {why}",
+            f"the ICC profile '{name}' does not hold three primaries with a curve each: {why}",
             "Convert the pictures to sRGB, keeping EXIF.",
         ) from error
     return Profile(name, hashlib.sha256(raw).hexdigest()[:16], matrix / white[:, None], curves)
@@ -205,7 +205,7 @@ def _rec709_at_d50() -> np.ndarray:
 def _tags(raw: bytes) -> dict[bytes, bytes]:
     """A profile's tags (7.3); raises ``ValueError`` or ``struct.error`` where it is none."""
     if raw[36:40] != b"acsp":
-        raise ValueError("it is no ICC profile")
+        raise ValueError("it is not an ICC profile")
     (count,) = struct.unpack_from(">I", raw, 128)
     if count > MOST_TAGS:
         raise ValueError(f"it claims {count} tags")
@@ -226,7 +226,7 @@ def _curve(tag: bytes) -> Curve:
         (count,) = struct.unpack_from(">I", tag, 8)
         values = np.frombuffer(tag[12 : 12 + 2 * count], ">u2").astype(np.float64)
         if len(values) != count:
-            raise ValueError("a curve is cut off")
+            raise ValueError("a curve is truncated")
         if count == 1:
             return Curve(None, 0, (float(values[0]) / 256.0,))
         return Curve(values / 65535.0) if count else Curve(None)
@@ -237,7 +237,7 @@ def _curve(tag: bytes) -> Curve:
         raise ValueError(f"a curve is of the kind {kind}")
     numbers = tuple(n / 65536.0 for n in struct.unpack_from(f">{PARAMETERS[kind]}i", tag, 12))
     if kind in (1, 2) and numbers[1] == 0.0:
-        raise ValueError("a curve is level")
+        raise ValueError("a curve is constant")
     return Curve(None, kind, numbers)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures without distortion: what a pinhole camera at the same place would have taken, or smaller.
+"""Undistorted pictures: what a pinhole camera at the same place would have taken, possibly smaller.
 
-What a lens does to a ray is pycolmap's to say; the resampling is ours (lab/notebook.md has both measured).
+pycolmap knows what a lens does to a ray; the resampling is ours (lab/notebook.md has both measured).
 """
 
 import math
@@ -33,14 +33,14 @@ LEAST_GROWTH = 0.05
 ON_EDGE = 1e-6
 #: Points along each side of a picture at which it is checked to be full.
 EDGE_POINTS = 257
-#: A lens that loses more of its picture than this, or shows so much more, is not believed.
+#: A lens that loses more of its picture than this, or shows so much more, is rejected.
 SMALLEST_SHARE = 0.25
 #: Pictures of photos of one size whose sides differ by no more than this share get the smallest's size.
 ALIKE = 0.02
 #: Samples that are taken at once: bounds the memory, whatever a photo's size.
 STRIP = 1 << 20
 
-#: What to do with pictures of a lens that is no lens.
+#: The remedy for an impossible lens.
 NOT_CREDIBLE = (
     "Few photos, or photos of a plane, tell little of a lens: --camera SIMPLE_RADIAL asks less of them. "
     "Numbers from elsewhere may be of another camera."
@@ -48,7 +48,7 @@ NOT_CREDIBLE = (
 
 
 def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> ModuleType:
-    """pycolmap, or ``FileMissingError`` that says what is ``wanted`` of it and how to install it."""
+    """pycolmap, or ``FileMissingError`` that says what it is ``wanted`` for and how to install it."""
     try:
         import pycolmap
     except ImportError as error:
@@ -78,7 +78,7 @@ class RealCamera(SparseCamera):
 
     def pycolmaps(self) -> Any:
         """pycolmap's camera; raises ``FileMissingError`` where pycolmap is not installed."""
-        pycolmap = require_pycolmap(f"pictures of a lens ({self.model}) are freed of its distortion")
+        pycolmap = require_pycolmap(f"pictures of a lens ({self.model}) are undistorted")
         return pycolmap.Camera(
             model=self.model, width=self.width, height=self.height, params=list(self.params)
         )
@@ -89,7 +89,7 @@ class RealCamera(SparseCamera):
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """The pinhole camera that takes the place of a real one (``source``, pycolmap's), in pixels.
+    """The pinhole camera that replaces a real one (``source``, pycolmap's), in pixels.
 
     Each of its pixels is the mean of ``over``² samples of the photo. ``cut``: the share of the photo that its
     picture does not show.
@@ -107,7 +107,7 @@ class Lens:
 
     @cached_property
     def key(self) -> Hashable:
-        """Equal where two lenses do the same to a photo."""
+        """Equal for lenses that treat photos alike."""
         real = (self.source.model_name, self.source.width, self.source.height, *self.source.params.tolist())
         return (*real, self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.over)
 
@@ -121,7 +121,7 @@ class Lens:
         largest = float(np.iinfo(codes.dtype).max)
         out = np.empty((self.height, self.width, channels), codes.dtype)
         for rows, places in self._strips():
-            # Of the photo no more is made float than this strip looks at: two rows more on both sides.
+            # Only the rows that this strip needs become floats, and two more on both sides.
             first = max(math.floor(float(places[..., 1].min()) - 0.5) - 2, 0)
             last = min(math.floor(float(places[..., 1].max()) - 0.5) + 4, height)
             photo = torch.from_numpy(codes[first:last].astype(np.float32)).permute(2, 0, 1)[None]
@@ -143,7 +143,7 @@ class Lens:
         return out
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
-        """``[h, w]`` bool of ``[H, W]`` bool: True where all that a pixel is made of was True."""
+        """``[h, w]`` bool of ``[H, W]`` bool: True where everything that contributes to a pixel was True."""
         height, width = mask.shape
         padded = np.pad(mask, (1, 2), mode="edge")
         wide = padded[:-3] & padded[1:-2] & padded[2:-1] & padded[3:]
@@ -178,7 +178,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Reduced:
-    """What stands in for a lens where others of a data set have one: nothing but the reduction."""
+    """Stands in for a lens where other pictures of the data set have one: reduces only."""
 
     reduction: Reduction
 
@@ -197,7 +197,7 @@ def lenses_by_size(cameras: Mapping[Any, Any], scale: float) -> dict[Any, Lens]:
     """A pinhole camera for each of pycolmap's; raises as ``make_lens``.
 
     Pictures are of one size where photos are, and pictures differ by ``ALIKE`` at most.
-    So much do cameras differ that were found for each photo by itself.
+    Cameras that were estimated for each photo separately differ that much.
     """
     lenses = {key: make_lens(camera, scale) for key, camera in cameras.items()}
     left = set(cameras)
@@ -231,7 +231,7 @@ def make_lens(camera: Any, scale: float) -> Lens:
     """The pinhole camera for pycolmap's ``camera``: its focal length times ``scale`` ≤ 1, no blank pixels.
 
     It shows the largest upright rectangle about the optical axis that the photo fills, and no more than
-    ``WIDEST_TANGENT`` to each side. Raises ``BadValueError`` where the distortion is beyond belief.
+    ``WIDEST_TANGENT`` to each side. Raises ``BadValueError`` where the distortion is implausible.
     """
     if camera.model_name == ALL_AROUND:
         raise panorama("the camera")
@@ -259,7 +259,7 @@ def make_lens(camera: Any, scale: float) -> Lens:
 
 def _not_credible(camera: Any) -> BadValueError:
     return BadValueError(
-        f"the lens that was found is not credible: {camera.model_name} {camera.params_to_string()} of photos "
+        f"the estimated lens is implausible: {camera.model_name} {camera.params_to_string()} of photos "
         f"of {camera.width}×{camera.height}",
         NOT_CREDIBLE,
     )
@@ -279,7 +279,7 @@ def _inside(camera: Any) -> tuple[float, float, float, float] | None:
     """An upright rectangle on the plane z = 1 that the photo fills: left, top, right, bottom; None: none.
 
     The lens is followed from its axis outwards in every direction, up to where it leaves the photo, folds
-    back or comes to ``WIDEST_TANGENT``: only forwards, for what a lens maps nothing on has no way back.
+    back or comes to ``WIDEST_TANGENT``: only forwards, because where a lens maps nothing there is no inverse.
     """
     size = np.array([camera.width, camera.height], np.float64)
     focal = np.array([camera.focal_length_x, camera.focal_length_y])

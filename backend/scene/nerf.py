@@ -32,7 +32,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """
     root = Path(root)
     scene = nerfstudio.scene_of(root, root / FILES, _as_one(root), downscale)
-    told = [
+    named = [
         data_set.transforms_file(split)
         for split in SPLIT_LISTS
         if (root / data_set.transforms_file(split)).exists()
@@ -44,7 +44,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         validation=_by_number(scene.validation),
         layout=NERF.name,
         of_renders=True,
-        messages=(f"split as {', '.join(told)} say", *scene.messages[1:]),
+        messages=(f"split as {', '.join(named)} say", *scene.messages[1:]),
     )
 
 
@@ -81,7 +81,7 @@ def _refuse_brackets(root: Path, stem: str) -> None:
     # os.path.isfile: that of Path raises where a name is too long; the reader of pictures then says so.
     if os.path.isfile(root / first) and not os.path.isfile(root / f"{stem}.png"):
         raise FileMissingError(
-            f"{root / data_set.exposure_file(data_set.TRAIN)} is missing: {first:.80} is of a bracket",
+            f"{root / data_set.exposure_file(data_set.TRAIN)} is missing: {first:.80} is part of a bracket",
             'Copy it there, or write it: {"./train/r_0_0.png": 0.125, …}, seconds of each picture.',
         )
 

@@ -43,10 +43,10 @@ from .poses import (
     Views,
     at_size_of_pictures,
     check_numbers,
-    masks_in_words,
+    mask_messages,
     numbered,
     sizes_of,
-    skipped_in_words,
+    skipped_messages,
     split_somehow,
 )
 from .resize import WIDEST, Reduction
@@ -63,7 +63,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder.
 
     ``downscale``: None halves pictures until no side of the largest is longer than 1600, as nerfstudio does.
-    Frames without a picture are left out and counted. Raises ``FileMissingError``, ``FileDamagedError``,
+    Frames without a picture are skipped and counted. Raises ``FileMissingError``, ``FileDamagedError``,
     ``DataMismatchError`` or ``BadValueError``, each naming the file, the entry and the remedy.
     """
     path = root / TRANSFORMS_FILE
@@ -71,13 +71,13 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
 
 def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float | None) -> Scene:
-    """As ``read_scene``, of what ``path`` holds; the first of the scene's messages tells its split."""
+    """As ``read_scene``, of what ``path`` holds; the first of the scene's messages is about its split."""
     listed = _frames(root, path, content)
     sizes, faults = sizes_of(file for file, _ in listed)
-    skipped = skipped_in_words("frames", len(listed), faults, root, len(sizes) / len(listed))
-    # Each keeps its place among all that are listed: a picture that turns up changes nobody's number.
+    skipped = skipped_messages("frames", len(listed), faults, root, len(sizes) / len(listed))
+    # Each keeps its place among all that are listed: a picture that is added later changes no other number.
     frames = {order: frame for order, frame in enumerate(listed) if frame[0] in sizes}
-    seconds, told = _exposures(path, list(frames.values()))
+    seconds, exposure_message = _exposures(path, list(frames.values()))
     reduced = {}
     poses = []
     for (order, (file, frame)), time in zip(frames.items(), seconds, strict=True):
@@ -85,11 +85,11 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
             continue
         name = file.relative_to(root).as_posix().rsplit(".", 1)[0]
         where = f"frame '{name:.80}'"
-        given = content | frame
+        entries = content | frame
         instead, factor = reduction_of(root, path, frame["file_path"])
         reduced |= instead
-        stated = stated_camera(path, where, given, (factor * sizes[file][0], factor * sizes[file][1]))
-        lens = RealCamera.of(stated_lens(path, where, given, stated))
+        stated = stated_camera(path, where, entries, (factor * sizes[file][0], factor * sizes[file][1]))
+        lens = RealCamera.of(stated_lens(path, where, entries, stated))
         pictures = {0: PictureFile(file, time, _mask(root, path, where, frame))}
         pose = Pose(name, order, Camera(*stated), pictures, lens=lens)
         poses.append(at_size_of_pictures(pose, sizes, path))
@@ -102,7 +102,7 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
     longest = max(max(pose.camera.width, pose.camera.height) for pose in poses)
     reduction = Reduction(_published_factor(longest) if downscale is None else downscale)
     views = Views(root, poses, reduction)
-    small = (f"pictures from {there}/, for there is no {folder}/" for folder, there in reduced.items())
+    small = (f"pictures from {there}/, because there is no {folder}/" for folder, there in reduced.items())
     info = read_info(root)
     return Scene(
         root=root,
@@ -114,7 +114,7 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
         response_anchor=read_anchor(root, info, otherwise=None),
         info=info,
         layout=NERFSTUDIO.name,
-        messages=(rule, *skipped, *small, *views.messages, told, *masks_in_words(poses)),
+        messages=(rule, *skipped, *small, *views.messages, exposure_message, *mask_messages(poses)),
         validation=views.of(validation),
     )
 
@@ -127,7 +127,7 @@ def _published_factor(longest: int) -> float:
 
 
 def _frames(root: Path, path: Path, content: dict[str, Any]) -> list[tuple[Path, dict[str, Any]]]:
-    """Each frame's picture and what the file says of it, sorted by the picture's name."""
+    """Each frame's picture and its entry, sorted by the picture's name."""
     frames: dict[Path, dict[str, Any]] = {}
     for name, entry in frames_of(path, content):
         file = picture_of(root, path, name)
@@ -153,9 +153,9 @@ def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | N
 def _exposures(
     path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]
 ) -> tuple[Sequence[float | None], str]:
-    """Seconds for each frame, and where they are from: ``exposure_time``, EXIF, or 1 s for all.
+    """Seconds for each frame, and a message on their origin: ``exposure_time``, EXIF, or 1 s for all.
 
-    None: not known; the words count these.
+    None: unknown; the message counts these.
     """
     known = ["exposure_time" in frame for _, frame in frames]
     if any(known):
@@ -169,7 +169,7 @@ def _exposures(
     from_exif = exposures_from_exif([file for file, _ in frames], SAY_EXPOSURES)
     if from_exif is not None:
         return from_exif
-    return [1.0] * len(frames), "no exposures are known: taken as one exposure of 1 s for all pictures"
+    return [1.0] * len(frames), "no exposures are known: assuming 1 s for all pictures"
 
 
 def _split(
@@ -237,9 +237,9 @@ def _train(path: Path, lists: dict[str, set[Path]], poses: list[Pose]) -> list[P
             raise DataMismatchError(f"{path}: no frame is in '{key}'", "Fix that list, or remove it.")
     train = [pose for pose in poses if not any(_is_in(pose, names) for names in lists.values())]
     if not train:
-        told = " and ".join(f"'{key}'" for key, names in lists.items() if names)
+        named = " and ".join(f"'{key}'" for key, names in lists.items() if names)
         raise DataMismatchError(
-            f"{path}: no frame is left for training: all are in {told}",
+            f"{path}: no frame is left for training: all are in {named}",
             "Fix these lists, or remove them.",
         )
     return train

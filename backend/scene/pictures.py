@@ -80,7 +80,7 @@ def kind_of(path: Path) -> Kind:
             return kind
     if start[4:8] == b"ftyp" and start[8:12] in AVIF_BRANDS | HEIF_BRANDS:
         raise FileDamagedError(
-            f"{path} is a HEIC or an AVIF, which no data set holds",
+            f"{path} is HEIC or AVIF, which data sets do not support",
             "Make a data set of such photos with physhdr prepare, or save them as PNG or JPEG.",
         )
     raise FileDamagedError(f"{path} is not a readable PNG or JPEG, nor TIFF, OpenEXR or .hdr", _DELETE)
@@ -131,11 +131,11 @@ def read_codes(path: Path, with_alpha: bool = False) -> tuple[np.ndarray, np.nda
     header = _look(path)
     if header.kind in ("EXR", "HDR"):
         raise FileDamagedError(
-            f"{path} holds radiance, where codes of 8 or 16 bits are wanted", "Save it as PNG or TIFF."
+            f"{path} holds radiance instead of codes of 8 or 16 bits", "Save it as PNG or TIFF."
         )
     if header.format == "float":
         raise FileDamagedError(
-            f"{path} is a TIFF of floats, where codes of 8 or 16 bits are wanted", "Save it with 16 bits."
+            f"{path} is a TIFF of floats instead of codes of 8 or 16 bits", "Save it with 16 bits."
         )
     codes, alpha = _colours(_read_pixels(path, header), header)
     return codes, None if alpha is None or not with_alpha else alpha / float(np.iinfo(codes.dtype).max)
@@ -275,7 +275,7 @@ def _look(path: Path) -> _Header:
     with _opened(path, kind) as reader:
         spec = reader.spec_dimensions(0)
         whole = reader.spec()
-        told = whole.getattribute("chromaticities") if kind == "EXR" else None
+        stated = whole.getattribute("chromaticities") if kind == "EXR" else None
         inks = whole.get_string_attribute("jpeg:ColorSpace") if kind == "JPEG" else ""
         header = _Header(
             kind,
@@ -285,21 +285,21 @@ def _look(path: Path) -> _Header:
             tuple(whole.channelnames),
             whole.alpha_channel,
             READ_AS.get(str(spec.format), ""),
-            None if told is None else _chromaticities(told),
+            None if stated is None else _chromaticities(stated),
             kind != "EXR" or not reader.seek_subimage(1, 0),
         )
         if whole.deep:
-            raise ValueError("it is deep, with any number of values a pixel")
+            raise ValueError("it is a deep EXR")
         if spec.tile_width * spec.tile_height > LARGEST_TILE:
             raise ValueError(f"a tile of {spec.tile_width}×{spec.tile_height} pixels")
         if inks in ("CMYK", "YCCK"):
-            raise ValueError("its colours are the four inks of print: save it again as RGB")
+            raise ValueError("its colours are CMYK: save it again as RGB")
         _check_claims(path, header, str(spec.format))
     return header
 
 
-def _chromaticities(told: Sequence[float]) -> Chromaticities:
-    x = [float(value) for value in np.asarray(told, np.float64).reshape(8)]
+def _chromaticities(stated: Sequence[float]) -> Chromaticities:
+    x = [float(value) for value in np.asarray(stated, np.float64).reshape(8)]
     return Chromaticities((x[0], x[1]), (x[2], x[3]), (x[4], x[5]), (x[6], x[7]))
 
 
@@ -308,7 +308,7 @@ def _check_claims(path: Path, header: _Header, stored: str) -> None:
     count, size = len(header.channels), path.stat().st_size
     "".join(header.channels).encode()  # a name that is no text, which no message could show
     if header.format == "" or not 1 <= count <= (MOST_CHANNELS if header.kind != "EXR" else count):
-        raise ValueError(f"its pixels are {count} × {stored}: 8 or 16 bits or floats are read")
+        raise ValueError(f"its pixels are {count} × {stored}: 8 or 16 bits or floats are supported")
     claim = f"it claims {header.width}×{header.height} pixels of {count} channels in {size} bytes"
     if not (header.width > 0 and header.height > 0 and header.width * header.height <= MAX_PIXELS):
         raise ValueError(claim)
@@ -349,8 +349,8 @@ def _colours(pixels: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarra
 def open_with_pillow(path: Path, formats: tuple[str, ...]) -> Image.Image:
     """An open picture of which the header is read; raises ``DecompressionBombError`` where Pillow does.
 
-    That is at 179 million pixels. Its warning from half of them on is not shown: it means nothing to who took
-    them.
+    That is at 179 million pixels. Its warning from half of them on is not shown: it means nothing to their
+    photographer.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -419,7 +419,7 @@ def read_exr_channels(
 ) -> dict[str, np.ndarray]:
     """Channels of an OpenEXR file by name, each ``[H, W]`` float32, as they are, in its display window.
 
-    A renderer may have left out what is empty, or rendered a region: around these data there is 0.
+    A renderer may have cropped empty areas or rendered a region: outside these data there is 0.
     ``wanted``: of its first part, and those of the ``optional`` that it has; without them all channels of its
     only part. ``remedy``: the hint where the file is not there. Raises ``FileMissingError``;
     ``FileDamagedError`` if it is no OpenEXR, truncated, deep, claims more than the file can hold, or lacks a
@@ -469,7 +469,7 @@ COLOR_HEADER: dict[str, Any] = {
 def write_exr(path: Path, radiance: np.ndarray, attributes: dict[str, str] | None = None) -> None:
     """Write ``[H, W, 3]`` scene-linear radiance as 32-bit float RGB (ZIP), atomically.
 
-    The header tells the colour space; ``attributes`` go into it as strings. Raises ``OutputError`` or
+    The header states the colour space; ``attributes`` go into it as strings. Raises ``OutputError`` or
     ``BadValueError``.
     """
     if radiance.ndim != 3 or radiance.shape[2] != 3:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings of scenes that can be read but not learned from: too near, from one place, at one exposure."""
+"""Warnings about scenes that cannot be learned from: too near, from one place, or at one exposure."""
 
 import dataclasses
 import math
@@ -23,9 +23,9 @@ WIDEST, NARROWEST = 160.0, 0.1
 
 
 def with_warnings(scene: Scene) -> Scene:
-    """The scene, with warnings of what cannot be learned from it among its messages.
+    """The scene, with warnings among its messages of what cannot be learned from it.
 
-    Raises ``BadValueError`` where most of its points are too near to be drawn.
+    Raises ``BadValueError`` where most of its points are too near to be rendered.
     """
     cameras = [view.camera for view in scene.train]
     warnings = [_one_place(cameras), _odd_lens(cameras), _one_exposure(scene)]
@@ -35,7 +35,7 @@ def with_warnings(scene: Scene) -> Scene:
 
 
 def too_near(root: Path, positions: np.ndarray, cameras: Sequence[Camera]) -> str:
-    """A warning of points ``[P, 3]`` before the near plane of ``cameras``; empty where there are few.
+    """A warning about points ``[P, 3]`` before the near plane of ``cameras``; empty where there are few.
 
     Raises ``BadValueError`` where most of those that are seen are.
     """

@@ -20,7 +20,7 @@ EXACT = "exact ray hits"
 STRUCTURE_FROM_MOTION = "structure from motion"
 #: What a comment of a PLY begins with → the kind of its points. The first is what ``synth/points.py`` writes.
 ORIGINS = {"surface points by ray casting": EXACT, STRUCTURE_FROM_MOTION: STRUCTURE_FROM_MOTION}
-#: Of so many points, a share, some may be beyond all bounds.
+#: The share of points that may be out of bounds.
 STRAYS = 0.01
 #: Colours as floats are within 0…1, or a little beyond; where they reach this, they are bytes made floats.
 BYTES_AS_FLOATS = 2.0
@@ -61,7 +61,7 @@ def read_points(path: Path) -> Points:
         positions[near].astype(np.float32),
         np.clip(colours[near], 0.0, 1.0),
         _origin(ply.comments),
-        left_out=int(np.count_nonzero(~near)),
+        ignored=int(np.count_nonzero(~near)),
     )
 
 
@@ -83,9 +83,9 @@ def write_points(path: Path, points: Points) -> None:
 
 
 def _origin(comments: Iterable[str]) -> str:
-    """The kind of points that a PLY's comments tell of; empty where they tell nothing that is known."""
-    told = (kind for comment in comments for mark, kind in ORIGINS.items() if comment.startswith(mark))
-    return next(told, "")
+    """The kind of points that a PLY's comments state; empty where they state none that is known."""
+    kinds = (kind for comment in comments for mark, kind in ORIGINS.items() if comment.startswith(mark))
+    return next(kinds, "")
 
 
 def with_points_file(scene: Scene, name: str | None) -> Scene:
@@ -103,13 +103,13 @@ def with_points_file(scene: Scene, name: str | None) -> Scene:
             remedy = f"Names are of files in the data set's folder; of others give all: {here.absolute()}"
         raise FileMissingError(f"there is no {path}, which --points-file names", remedy)
     points = dataclasses.replace(read_points(path), file=name)
-    return with_words_of_points(dataclasses.replace(scene, points=points))
+    return with_point_message(dataclasses.replace(scene, points=points))
 
 
 def are_near(path: Path, positions: np.ndarray) -> np.ndarray:
     """``[P]`` bool: which of ``positions`` ``[P, 3]``, finite, are within the bounds of coordinates.
 
-    Structure from motion leaves a few points that two rays hardly tell from infinity: they are left out.
+    Structure from motion leaves a few points that two rays hardly tell from infinity: they are ignored.
     Raises ``BadValueError`` where they are more than ``STRAYS``: then the world itself is too far away.
     """
     near = np.abs(positions).max(axis=1, initial=0.0) <= COORDINATE.high
@@ -119,18 +119,18 @@ def are_near(path: Path, positions: np.ndarray) -> np.ndarray:
         raise BadValueError(
             f"{path}: {len(far)} of {len(positions)} points are too far away, the first, {far[0]}, at "
             f"({x:g}, {y:g}, {z:g}): coordinates must be {COORDINATE} metres",
-            f"{COORDINATE.remedy} Single points that stray so far are mistakes: delete them.",
+            f"{COORDINATE.remedy} Single points that far away are mistakes: delete them.",
         )
     return near
 
 
-def with_words_of_points(scene: Scene) -> Scene:
-    """The scene with what its messages are to say of its points: how many were left out."""
-    if scene.points is None or not scene.points.left_out:
+def with_point_message(scene: Scene) -> Scene:
+    """The scene with a message on its points that were ignored."""
+    if scene.points is None or not scene.points.ignored:
         return scene
-    far, all_of_them = scene.points.left_out, scene.points.left_out + len(scene.points.positions)
-    told = f"{far} of {all_of_them} points are too far away (farther than {COORDINATE.high:g}): left out"
-    return dataclasses.replace(scene, messages=(*scene.messages, told))
+    far, all_of_them = scene.points.ignored, scene.points.ignored + len(scene.points.positions)
+    message = f"ignoring {far} of {all_of_them} points: farther away than {COORDINATE.high:g}"
+    return dataclasses.replace(scene, messages=(*scene.messages, message))
 
 
 def _unit_colours(channels: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Poses and their brackets as a reader finds them, and the views that are made of them.
+"""Poses and their brackets as a reader finds them, and the views made of them.
 
-Readers put cameras and files together; what is alike in all layouts is here: which pictures can be read at
-all, how sizes, turns and lenses are brought together, which views are for testing.
+Readers pair cameras and files; what all layouts share is here: which pictures can be read,
+how sizes, orientations and lenses are reconciled, which views are for testing.
 """
 
 from collections import Counter
@@ -25,7 +25,7 @@ from .scene import PictureCache, View
 from .source import PictureSource
 from .undistorted import store_for
 
-#: A share of each photo beyond this that no picture shows is worth a word.
+#: A share of each photo beyond this that no picture shows is reported.
 MUCH = 0.05
 
 
@@ -59,7 +59,7 @@ class Views:
     """Makes views of poses: the same reduction for all, and no distortion.
 
     ``messages``: what was decided, for ``Scene.messages``, the size first. Raises ``FileMissingError`` where
-    a lens needs pycolmap and it is not installed, ``BadValueError`` for a lens that is none.
+    a lens needs pycolmap and it is not installed, ``BadValueError`` for an impossible lens.
     """
 
     def __init__(self, root: Path, poses: Sequence[Pose], reduction: Reduction) -> None:
@@ -70,7 +70,7 @@ class Views:
             self._lenses: dict[RealCamera, Lens] = lenses_by_size(real, 1.0 / reduction.factor)
         except BadValueError as error:
             raise BadValueError(f"{root}: {error.message}", error.hint) from error
-        self.messages: tuple[str, ...] = (_size_in_words(poses, reduction), *self._lenses_in_words())
+        self.messages: tuple[str, ...] = (_size_message(poses, reduction), *self._lens_messages())
         self._store = None
         if bent:
             # With the distortion pictures lose their size, at once; others of the data set are reduced alone.
@@ -81,8 +81,8 @@ class Views:
                 for pose, lens in lenses
                 for file in pose.pictures.values()
             ]
-            self._store, told = store_for(root, files)
-            self.messages += (told,)
+            self._store, message = store_for(root, files)
+            self.messages += (message,)
         else:
             self._cache = PictureCache(reduction=reduction)
 
@@ -120,22 +120,24 @@ class Views:
             tuple(pose.pictures),
         )
 
-    def _lenses_in_words(self) -> tuple[str, ...]:
-        """What is taken out of the pictures, and how much they lose by it."""
+    def _lens_messages(self) -> tuple[str, ...]:
+        """Messages on the distortion that is removed, and how much pictures lose by it."""
         if not self._lenses:
             return ()
         first, lens = next(iter(self._lenses.items()))
         several = f"{len(self._lenses)} lenses, the first" if len(self._lenses) > 1 else "the lens"
-        told = (
-            f"the distortion of {several} {first.in_words()}, is taken out: {lens.width}×{lens.height} remain"
+        message = (
+            f"the distortion of {several} {first.in_words()}, is removed: {lens.width}×{lens.height} remain"
         )
         cut = max(lens.cut for lens in self._lenses.values())
         if cut <= MUCH:
-            return (told,)
-        return (f"{told}; up to {cut:.0%} of a photo is beyond what a pinhole camera shows (110° at most)",)
+            return (message,)
+        return (
+            f"{message}; up to {cut:.0%} of a photo is beyond what a pinhole camera shows (110° at most)",
+        )
 
 
-def _size_in_words(poses: Sequence[Pose], reduction: Reduction) -> str:
+def _size_message(poses: Sequence[Pose], reduction: Reduction) -> str:
     """What happens to the pictures' sizes."""
     counts = Counter((pose.camera.width, pose.camera.height) for pose in poses)
     if len(counts) == 1:
@@ -167,10 +169,10 @@ def sizes_of(
     return sizes, faults
 
 
-def skipped_in_words(
+def skipped_messages(
     what: str, count: int, faults: Mapping[Path, PhysHDRError], root: Path, share_left: float
 ) -> tuple[str, ...]:
-    """What is said of those of ``count`` ``what`` ("frames") whose picture cannot be used; () without any.
+    """Messages on those of ``count`` ``what`` ("frames") whose picture cannot be used; () without any.
 
     Raises the first fault where less than half of all poses is left.
     """
@@ -180,18 +182,20 @@ def skipped_in_words(
     damaged = [fault for fault in faults.values() if not isinstance(fault, FileMissingError)]
     if share_left < 0.5:
         first = next(iter(faults.values()))
-        told = f"{len(faults)} of {count} {what} have no picture that can be used. The first: {first.message}"
+        message = (
+            f"{len(faults)} of {count} {what} have no picture that can be used. The first: {first.message}"
+        )
         there = isinstance(first, FileMissingError)
         hint = "Put the pictures where they are looked for, under these names." if there else first.hint
-        raise type(first)(told, hint)
-    said = []
+        raise type(first)(message, hint)
+    messages = []
     if missing:
         name = missing[0].relative_to(root).as_posix()
-        said.append(f"{len(missing)} of {count} {what} have no picture: skipped (first: {name:.200})")
+        messages.append(f"{len(missing)} of {count} {what} have no picture: skipped (first: {name:.200})")
     if damaged:
-        told = f"{len(damaged)} of {count} {what} have a picture that cannot be read"
-        said.append(f"{told}: skipped (first: {damaged[0].message})")
-    return tuple(said)
+        message = f"{len(damaged)} of {count} {what} have a picture that cannot be read"
+        messages.append(f"{message}: skipped (first: {damaged[0].message})")
+    return tuple(messages)
 
 
 def all_sizes(paths: Sequence[Path]) -> dict[Path, tuple[int, int]]:
@@ -246,7 +250,7 @@ def turn(path: Path, stored: tuple[int, int], stated: tuple[int, int]) -> int:
     """EXIF's orientation that a picture is to be turned by: 1, as it is stored, unless only turned it fits.
 
     Structure from motion looks at pictures as they are stored (COLMAP 4.2 does), and so do the loaders of
-    nerfstudio and instant-ngp. But who found the cameras on turned copies has widths for heights.
+    nerfstudio and instant-ngp. But cameras found on turned copies have width and height swapped.
     """
     if is_shaped(stored, stated) or not is_shaped((stored[1], stored[0]), stated):
         return 1
@@ -254,10 +258,10 @@ def turn(path: Path, stored: tuple[int, int], stated: tuple[int, int]) -> int:
     return orientation if orientation in LYING else 1
 
 
-def at_size_of_pictures(pose: Pose, sizes: Mapping[Path, tuple[int, int]], told_by: Path) -> Pose:
-    """The pose with its camera, lens and pictures brought together: one size, all turned alike.
+def at_size_of_pictures(pose: Pose, sizes: Mapping[Path, tuple[int, int]], origin: Path) -> Pose:
+    """The pose with camera, lens and pictures at one size and in one orientation.
 
-    ``sizes``: of its pictures as they are stored. Raises ``DataMismatchError`` where they are not of one
+    ``sizes``: of its pictures as stored. Raises ``DataMismatchError`` where they are not of one
     size, or of another shape than the camera.
     """
     paths = [file.path for file in pose.pictures.values()]
@@ -269,13 +273,13 @@ def at_size_of_pictures(pose: Pose, sizes: Mapping[Path, tuple[int, int]], told_
         pictures = {k: replace(file, orientation=orientation) for k, file in pose.pictures.items()}
         pose = replace(pose, pictures=pictures)
     lens = None if pose.lens is None else pose.lens.resized(*size)
-    return replace(pose, camera=fitted(camera, size, told_by, first), lens=lens)
+    return replace(pose, camera=fitted(camera, size, origin, first), lens=lens)
 
 
 def fitted(
     camera: Camera,
     size: tuple[int, int],
-    told_by: Path,
+    origin: Path,
     picture: Path,
     remedy: str = "Use the pictures that the cameras were found with, neither cropped nor turned.",
 ) -> Camera:
@@ -288,20 +292,20 @@ def fitted(
         return camera
     if not is_shaped(size, (camera.width, camera.height)):
         raise DataMismatchError(
-            f"{told_by} was made from pictures of {camera.width}×{camera.height}, {picture} is "
+            f"{origin} was made from pictures of {camera.width}×{camera.height}, {picture} is "
             f"{width}×{height}: another shape",
             remedy,
         )
     return camera.resized(width, height)
 
 
-def masks_in_words(poses: Iterable[Pose]) -> tuple[str, ...]:
+def mask_messages(poses: Iterable[Pose]) -> tuple[str, ...]:
     """How many pictures have masks, where any has."""
     files = [file for pose in poses for file in pose.pictures.values()]
     masked = sum(file.mask is not None for file in files)
     if not masked:
         return ()
-    return (f"{masked} of {len(files)} pictures have masks: what these black out is not compared",)
+    return (f"{masked} of {len(files)} pictures have masks: black areas are not compared",)
 
 
 # ---- splits and names --------------------------------------------------------------------------------
@@ -328,33 +332,34 @@ def split_somehow(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose], str]:
     positions = np.stack([pose.camera.position for pose in poses])
     directions = np.stack([-pose.camera.camera_to_world[:3, 2] for pose in poses])
     places = same_places(positions, directions)
-    told = _siblings_in_words([[poses[k] for k in place] for place in places])
+    siblings = _siblings_message([[poses[k] for k in place] for place in places])
     if len(places) < FEWEST:
-        what = "place" if told else "pose"
+        what = "place" if siblings else "pose"
         few = f"is one {what}" if len(places) == 1 else f"are two {what}s"
-        return list(poses), [], f"no test views: there {few} only{told}"
+        return list(poses), [], f"no test views: there {few} only{siblings}"
     chosen = set(held_out_places(positions, directions))
     test = [pose for k, pose in enumerate(poses) if k in chosen]
     train = [pose for k, pose in enumerate(poses) if k not in chosen]
     rule = (
-        f"split by place: of each {EVERY} {'places' if told else 'poses'} in the order of names one that "
-        f"others surround is for testing ({len(test)} of {len(poses)}{' poses' if told else ''}){told}"
+        f"split by place: of each {EVERY} {'places' if siblings else 'poses'} in the order of names one that "
+        f"others surround is for testing ({len(test)} of {len(poses)}{' poses' if siblings else ''})"
+        f"{siblings}"
     )
     return train, test, rule
 
 
-def _siblings_in_words(places: Sequence[Sequence[Pose]]) -> str:
-    """What is said of poses of which several are of one place; empty where none are."""
+def _siblings_message(places: Sequence[Sequence[Pose]]) -> str:
+    """A clause on poses of which several are of one place; empty where none are."""
     count = sum(map(len, places))
     if len(places) == count:
         return ""
-    told = f"; they are of {len(places)} places, each for testing or for training as a whole"
+    message = f"; they are of {len(places)} places, each for testing or for training as a whole"
     exposed = ({picture.seconds for pose in place for picture in pose.pictures.values()} for place in places)
     if all(len(pose.pictures) == 1 for place in places for pose in place) and any(
         len(seconds) > 1 for seconds in exposed
     ):
-        told += ". Where these are exposure brackets, 'physhdr prepare' makes one view of each"
-    return told
+        message += ". Where these are exposure brackets, 'physhdr prepare' makes one view of each"
+    return message
 
 
 def numbered(root: Path, poses: Sequence[Pose]) -> list[Pose]:
@@ -369,7 +374,7 @@ def numbered(root: Path, poses: Sequence[Pose]) -> list[Pose]:
     for path in (picture.path for pose in poses for picture in pose.pictures.values()):
         if any(path.is_relative_to(root / folder) for folder in folders):
             raise DataMismatchError(
-                f"{path} is true radiance by its name, which evaluation alone may see, and a view's picture",
+                f"{path} is a view's picture, and by its name true radiance, which is for evaluation only",
                 "Put the pictures to be trained from into another folder, and name them there.",
             )
     truth = folders[0]
@@ -385,18 +390,18 @@ def numbered(root: Path, poses: Sequence[Pose]) -> list[Pose]:
     return found
 
 
-def check_numbers(poses: Sequence[Pose], split: str, told_by: Path) -> None:
+def check_numbers(poses: Sequence[Pose], split: str, origin: Path) -> None:
     """Raises ``DataMismatchError`` where two poses of a split have one number, which names their truth."""
     number, times = max(Counter(pose.index for pose in poses).items(), key=lambda c: c[1], default=(0, 1))
     if times > 1:
         names = [pose.name for pose in poses if pose.index == number]
         raise DataMismatchError(
-            f"{told_by}: {split} poses {', '.join(map(repr, names))} have one number, {number}",
+            f"{origin}: {split} poses {', '.join(map(repr, names))} have one number, {number}",
             "Number the poses of a split without repetition: the number names the truth.",
         )
 
 
-def missing_in_words(poses: Sequence[Pose]) -> str | None:
+def missing_message(poses: Sequence[Pose]) -> str | None:
     """Which exposures some poses have not, for ``Scene.messages``; None where all have all."""
     places = sorted({k for pose in poses for k in pose.pictures})
     counts = {k: sum(k not in pose.pictures for pose in poses) for k in places}

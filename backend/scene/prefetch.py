@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures are decoded before an iteration asks for them, by a thread beside the one that trains.
+"""Decodes pictures before an iteration asks for them, in a thread beside the training's.
 
 Views come in an order that is known ahead (a shuffle of each epoch), so where not all pictures fit into the
 cache, what the next iterations want can be read while this one computes. What is read is the same either way.
@@ -13,14 +13,14 @@ from typing import Protocol
 from ...bridge.errors import PhysHDRError
 from .scene import View
 
-#: So many iterations ahead pictures are read: the next one's are there when it begins.
+#: How many iterations ahead pictures are read: the next one's are ready when it begins.
 AHEAD = 2
 #: Seconds between two looks at how far the training is; where reading takes long, iterations do, too.
 LOOK_SECONDS = 0.01
 
 
 class Schedule(Protocol):
-    """A training, as the reader sees it. ``iteration``: the one it is at, counted from 0."""
+    """A training, as the reading thread sees it. ``iteration``: the one it is at, counted from 0."""
 
     iteration: int
 

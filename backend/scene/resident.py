@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is put where the computation is once, and then stays there: cameras and pictures.
+"""Cameras and pictures that are copied to the computing device once and stay there.
 
 A copy from ordinary host memory to a CUDA card makes the host wait for the card. An iteration must not do
 that, or the card idles while the host prepares the next one (docs/performance.md): matrices and pictures
@@ -19,7 +19,7 @@ from .scene import View
 
 
 def picture_room_on(device: torch.device) -> int:
-    """Bytes of pictures that are kept on a card: a quarter of what is free there, 1 GiB at least.
+    """Bytes of pictures that stay on a card: a quarter of what is free there, 1 GiB at least.
 
     What is beyond is copied anew at each use: a card has to hold the Gaussians, too.
     """
@@ -40,7 +40,7 @@ class CameraTensors:
     half_size: torch.Tensor
 
 
-# A camera never changes (frozen, compared by identity); its tensors go when it goes.
+# A camera never changes (frozen, compared by identity); its tensors are freed with it.
 _cameras: weakref.WeakKeyDictionary[Camera, dict[tuple[torch.device, torch.dtype], CameraTensors]] = (
     weakref.WeakKeyDictionary()
 )
@@ -63,7 +63,7 @@ def camera_tensors(camera: Camera, like: torch.Tensor) -> CameraTensors:
 
 
 def _beside(values: np.ndarray, like: torch.Tensor) -> torch.Tensor:
-    """A copy with the device and dtype of ``like``; the host goes on while a card fetches it.
+    """A copy with the device and dtype of ``like``; the host continues while a card fetches it.
 
     Where poses are learned each iteration has a camera of its own.
     """
@@ -72,7 +72,7 @@ def _beside(values: np.ndarray, like: torch.Tensor) -> torch.Tensor:
 
 
 class Pictures:
-    """Training pictures as float images on ``device``, kept there as 8 or 16 bits a channel.
+    """Training pictures as float images on ``device``, stored there as 8 or 16 bits a channel.
 
     On the CPU nothing is kept: the scene's own cache already holds the decoded pictures. ``budget`` None:
     ``picture_room_on`` the card. ``instead``: codes ``[3, H, W]`` uint16 that stand for those of a view's

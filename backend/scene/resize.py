@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures at less than their full size, and the cameras that belong to them.
+"""Reduced pictures and their cameras.
 
 Each published data set has the convention of the code that reads it: HDR-NeRF averages areas (OpenCV's
 INTER_AREA, ImageMagick), the 3DGS lineage (HDR-GS, GaussHDR) resamples with Pillow's bicubic filter.
@@ -27,7 +27,7 @@ class Reduction:
     """Pictures ``factor`` times smaller on each side.
 
     ``area``: the mean of each block of pixels, where the size is a multiple of the factor (else bicubic).
-    ``done``: pictures come from their sources as small as this already.
+    ``done``: sources give pictures at this size already.
     """
 
     factor: float = 1.0
@@ -49,7 +49,7 @@ class Reduction:
         """``[H, W, 3]`` uint8 or uint16 → ``[h, w, 3]`` of the same type.
 
         ``radiance``: how codes stand for radiance, of which the mean is taken then, and not that of its
-        logarithm: so would a smaller camera.
+        logarithm: as a smaller camera would.
         """
         if self.factor == 1.0 or self.done:
             return picture

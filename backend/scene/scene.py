@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What every reader of a data set returns: cameras, exposures, pictures on demand, first points.
 
-A scene knows nothing of the true radiance (``train_hdr/``, ``relit/`` …): a method that is given a scene
+A scene does not contain the true radiance (``train_hdr/``, ``relit/`` …): a method that is given a scene
 cannot read it. Evaluation asks ``backend/evaluate/truth.py``.
 """
 
@@ -27,10 +27,10 @@ from .source import Decoded, PictureSource
 
 
 class PictureCache:
-    """Decoded pictures and their masks, the least recently used forgotten first, at most ``budget`` bytes.
+    """Decoded pictures and their masks, the least recently used evicted first, at most ``budget`` bytes.
 
     ``budget`` None: ``memory.picture_room``. ``reduction``: how much smaller pictures become when they are
-    decoded; only the small ones are kept.
+    decoded; only the small ones are cached.
     """
 
     def __init__(self, budget: int | None = None, reduction: Reduction | None = None) -> None:
@@ -44,7 +44,7 @@ class PictureCache:
     def get(self, source: PictureSource) -> Decoded:
         """The picture and its mask, read-only; raises what ``PictureSource.read`` raises.
 
-        Threads that want different pictures decode at the same time; one that wants the same waits for it.
+        Different pictures are decoded at the same time; a thread that wants the same one waits.
         """
         with self._lock:
             if (kept := self._kept(source.key)) is not None:
@@ -116,7 +116,7 @@ class View:
             )
 
     def place_of(self, k: int) -> int | None:
-        """Where exposure ``k`` of the bracket is in ``exposures``; None if this view has it not."""
+        """Where exposure ``k`` of the bracket is in ``exposures``; None if this view lacks it."""
         return self.bracket.index(k) if k in self.bracket else None
 
     @property
@@ -136,11 +136,11 @@ class View:
 
     @property
     def encodings(self) -> tuple[Encoding, ...]:
-        """How the codes of each picture came of exposure × radiance."""
+        """How the codes of each picture follow from exposure × radiance."""
         return tuple(source.encoding for source in self.sources)
 
     def image(self, k: int) -> np.ndarray:
-        """The codes at exposure ``k``: ``[H, W, 3]`` uint8 or uint16, read-only, decoded once and then kept.
+        """The codes at exposure ``k``: ``[H, W, 3]`` uint8 or uint16, read-only, decoded once and cached.
 
         Raises ``FileMissingError`` or ``FileDamagedError`` if it cannot be decoded, ``DataMismatchError``
         if it is not of the camera's size, ``BadValueError`` if the view has no exposure ``k``.
@@ -177,7 +177,7 @@ class View:
             raise DataMismatchError(
                 f"{self.sources[k].path} is {width}×{height}, the camera of view '{self.name}' is "
                 f"{self.camera.width}×{self.camera.height}",
-                "The picture changed after the data set was opened: render it again, or open the set again.",
+                "The picture has changed since the data set was opened: open it again.",
             )
         return found
 
@@ -186,8 +186,8 @@ class View:
 class Points:
     """The first points: ``positions`` ``[P, 3]`` float32, metres; ``colours`` ``[P, 3]`` float32, 0…1.
 
-    ``origin``: what kind they are, in words, as their file says; empty where it does not. ``file``: the name
-    of a file that stands for the data set's own points; empty for those. ``left_out``: how many more it has
+    ``origin``: what kind they are, as their file says; empty where it does not. ``file``: the name
+    of a file that stands for the data set's own points; empty for those. ``ignored``: how many more it has
     that are too far away.
     """
 
@@ -195,7 +195,7 @@ class Points:
     colours: np.ndarray
     origin: str = ""
     file: str = ""
-    left_out: int = 0
+    ignored: int = 0
 
     def __str__(self) -> str:
         """``12,345 points of the data set (exact ray hits)``."""
@@ -211,7 +211,7 @@ class Scene:
     there, in the order of every view's ``lighting_levels``. ``response_anchor``: one known point of the
     camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
     ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
-    what the reader decided, in sentences (split, size, where exposures are from), for people to read.
+    what the reader decided, in sentences (split, size, origin of exposures).
     ``validation``: views that choices are made on, at poses of their own, never trained from; only our own
     layout, NeRF's and ``transforms.json`` have any. ``of_renders``: whether the layout is one of renders.
     ``known_photographs``: what ``photographs`` is, as a run keeps it; None: what the data set says.
@@ -252,7 +252,7 @@ class Scene:
     def photographs(self) -> bool:
         """Whether the pictures were taken by real cameras, which have faults that renders have not.
 
-        So are those that ``physhdr prepare`` made a data set of. Others are, unless their layout is one of
+        Those that ``physhdr prepare`` wrote were. Others are, unless their layout is one of
         renders, they say that we rendered them, or name a known point of the camera's response, which only
         renders can.
         """

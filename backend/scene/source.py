@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a view's picture comes from, and everything that is done to it before anybody looks at it."""
+"""Where a view's picture comes from, and how it is prepared."""
 
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from .resize import Reduction, is_shaped
 
 
 class Undistortion(Protocol):
-    """What takes a lens's distortion out of a picture."""
+    """Removes a lens's distortion from a picture."""
 
     @property
     def key(self) -> Hashable:
-        """Equal where two of them do the same."""
+        """Equal for two that do the same."""
         ...
 
     def picture(self, codes: np.ndarray, radiance: Encoding | None = None) -> np.ndarray:
@@ -34,7 +34,7 @@ class Undistortion(Protocol):
         ...
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
-        """``[H, W]`` bool → ``[h, w]`` bool: True where everything that a pixel is made of was True."""
+        """``[H, W]`` bool → ``[h, w]`` bool: True where everything that contributes to a pixel was True."""
         ...
 
 
@@ -54,10 +54,10 @@ class Decoded:
 
 
 class PictureStore(Protocol):
-    """Pictures that took long to make (undistorted ones), at full size, from one process to the next."""
+    """A cache of pictures that took long to make (undistorted ones), at full size, across processes."""
 
     def load(self, source: "PictureSource") -> Decoded | None:
-        """What was saved for this source, if it is still right."""
+        """What was saved for this source, if it is still valid."""
         ...
 
     def save(self, source: "PictureSource", decoded: Decoded) -> None: ...
@@ -67,12 +67,12 @@ class PictureStore(Protocol):
 class PictureSource:
     """A picture's file and what is done to it. Frozen; ``key`` says whether two give the same picture.
 
-    ``encoding``: how its codes came of exposure × radiance; ``SRGB`` where integers are linear. ``lens``:
-    what takes the distortion out. ``mask_path``: a picture of the same size, whose black (below half) is not
-    compared. ``orientation``: EXIF's, 1 to 8, which is obeyed (1: as it is stored). ``store``: where
-    undistorted pictures are kept. ``alpha``: whether what its own alpha hides (below half) is not compared;
-    else alpha is not looked at. ``color_space``: of radiance, by name; empty: as the file says. ``profile``:
-    from whose primaries codes are converted to sRGB's.
+    ``encoding``: how codes follow from exposure × radiance; ``SRGB`` where integers are linear. ``lens``:
+    what removes the distortion. ``mask_path``: a picture of the same size, whose black (below half) is not
+    compared. ``orientation``: EXIF's, 1 to 8, which is applied (1: as stored). ``store``: where
+    undistorted pictures are cached. ``alpha``: whether pixels that its alpha hides (below half) are not
+    compared; else alpha is ignored. ``color_space``: of radiance, by name; empty: as the file says.
+    ``profile``: from whose primaries codes are converted to sRGB's.
     """
 
     path: Path
@@ -95,8 +95,8 @@ class PictureSource:
     def read(self, reduction: Reduction | None = None) -> Decoded:
         """The picture, reduced; raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError``.
 
-        ``BadValueError``, too, for radiance that is none. In this order: decoded (radiance becomes codes, a
-        profile's codes sRGB's), turned upright, freed of distortion, reduced; linear integers become codes at
+        ``BadValueError`` for invalid radiance. In this order: decoded (radiance becomes codes, a
+        profile's codes sRGB's), turned upright, undistorted, reduced; linear integers become codes at
         the end.
         """
         made = self._whole()
@@ -117,9 +117,9 @@ class PictureSource:
         """At full size."""
         if self.lens is None:
             return self._upright()
-        kept = None if self.store is None else self.store.load(self)
-        if kept is not None:
-            return kept
+        stored = None if self.store is None else self.store.load(self)
+        if stored is not None:
+            return stored
         bent = self._upright()
         mask = None if bent.mask is None else self.lens.mask(bent.mask)
         straight = Decoded(self.lens.picture(bent.codes, self._radiance), mask)
@@ -176,22 +176,22 @@ class PictureSource:
 def is_white(shades: np.ndarray, largest: int) -> np.ndarray:
     """Which pixels of a mask are white: ``largest``, what its files can hold, is halved for that.
 
-    Programs that mean yes and no write 1 and 0: where nothing is above 1, that is white.
+    Some programs write 1 and 0 for yes and no: where nothing exceeds 1, 1 is white.
     """
     return shades >= (1 if shades.max(initial=0) <= 1 else (largest + 1) // 2)
 
 
 def _nearest(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """A mask of another size: what lies in the middle of each pixel."""
+    """A mask resized by its nearest pixels."""
     rows = (np.arange(height) + 0.5) * mask.shape[0] / height
     columns = (np.arange(width) + 0.5) * mask.shape[1] / width
     return mask[rows.astype(int)][:, columns.astype(int)]
 
 
 def radiance_rec709(path: Path, color_space: str = "") -> tuple[np.ndarray, str]:
-    """``[H, W, 3]`` float64 Linear Rec.709 of a file of radiance, and what colour space it was in, in words.
+    """``[H, W, 3]`` float64 Linear Rec.709 of a file of radiance, and a description of its colour space.
 
-    ``color_space``: its name; empty: as the file says. Values below 0 are colours outside of Rec.709.
+    ``color_space``: its name; empty: as the file says. Values below 0 are colours outside Rec.709.
     """
     read = read_radiance(path)
     space, words = _space(read, color_space)
@@ -201,14 +201,14 @@ def radiance_rec709(path: Path, color_space: str = "") -> tuple[np.ndarray, str]
 def exr_rec709(path: Path) -> np.ndarray:
     """``[H, W, 3]`` float32 Linear Rec.709 of an OpenEXR, in whichever colour space its chromaticities are.
 
-    Values below 0 are colours outside of Rec.709. Raises what ``read_exr`` raises, and ``BadValueError`` for
+    Values below 0 are colours outside Rec.709. Raises what ``read_exr`` raises, and ``BadValueError`` for
     chromaticities of no colour space.
     """
-    pixels, told = read_exr(path), exr_chromaticities(path)
-    if told is None:
+    pixels, stated = read_exr(path), exr_chromaticities(path)
+    if stated is None:
         return pixels
     try:
-        return linear_rec709(pixels, known(told)[0]).astype(np.float32)
+        return linear_rec709(pixels, known(stated)[0]).astype(np.float32)
     except BadValueError as error:
         raise BadValueError(
             f"{path}: {error.message}",
@@ -217,11 +217,11 @@ def exr_rec709(path: Path) -> np.ndarray:
 
 
 def _space(read: Radiance, color_space: str) -> tuple[Chromaticities, str]:
-    """The primaries of a picture, and in words where they are from."""
+    """The primaries of a picture, and a description of their origin."""
     if color_space:
         return space_named(color_space), f"{color_space}, as --color-space says"
     if read.chromaticities is None:
-        return SPACES["rec709"], "rec709, for the files say nothing"
+        return SPACES["rec709"], "rec709, because the files state none"
     space, name = known(read.chromaticities)
     return space, f"{name or 'of primaries of their own'}, as the files' chromaticities say"
 
@@ -235,7 +235,7 @@ def linear_rec709(pixels: np.ndarray, space: Chromaticities) -> np.ndarray:
 
 
 def plain(paths: Iterable[Path]) -> tuple[PictureSource, ...]:
-    """Sources of pictures as a camera left them, with nothing to be done to them."""
+    """Sources of pictures as a camera left them."""
     return tuple(PictureSource(path) for path in paths)
 
 

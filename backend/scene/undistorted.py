@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures without distortion, kept on disk from one process to the next: beside the data, or with the user.
+"""Undistorted pictures, cached on disk from one process to the next: beside the data, or with the user.
 
-An entry is a file of its own: a ZIP archive without compression (which says itself whether it is whole) of
-the codes, the mask if there is one, and what they were made of. Where that is no longer what is asked for, or
-the file is damaged, the picture is made again and replaces it. Reading one is faster than decoding a JPEG.
+An entry is a file of its own: a ZIP archive without compression (whose checksum tells whether it is
+complete) of the codes, the mask if there is one, and what they were made of. Where that is no longer what is
+asked for, or the file is damaged, the picture is made again and replaces it. Reading one is faster than
+decoding a JPEG.
 """
 
 import hashlib
@@ -55,7 +56,7 @@ class UndistortedPictures:
         self.write_to = write_to
 
     def load(self, source: PictureSource) -> Decoded | None:
-        """What was saved for this source, if it is whole and of the file that is there now."""
+        """What was saved for this source, if it is complete and made from the present file."""
         about = self._about(source)
         if about is None:
             return None
@@ -67,7 +68,7 @@ class UndistortedPictures:
         return None
 
     def save(self, source: PictureSource, decoded: Decoded) -> None:
-        """Keep a picture; where that fails, one warning is logged and nothing more is kept."""
+        """Cache a picture; where that fails, one warning is logged and nothing more is cached."""
         about = self._about(source)
         if self.write_to is None or about is None:
             return
@@ -85,10 +86,10 @@ class UndistortedPictures:
                     archive.writestr(MASK, np.packbits(mask).data)
         except OutputError as error:
             self.write_to = None
-            log.warning("%s: pictures without distortion are made anew at each start", error.message)
+            log.warning("%s: pictures are undistorted again at each start", error.message)
 
     def _about(self, source: PictureSource) -> str | None:
-        """All that a picture is made of; None where one of its files cannot be looked at."""
+        """All that a picture depends on; None where one of its files cannot be accessed."""
         try:
             files = [_identity(path) for path in (source.path, source.mask_path) if path is not None]
         except OSError:
@@ -101,12 +102,12 @@ class UndistortedPictures:
         """One for each picture and size: ``0001-1067x1902-5d41402a.picture``, whatever lens it then has."""
         assert source.lens is not None
         width, height = getattr(source.lens, "width", 0), getattr(source.lens, "height", 0)
-        told = json.dumps([self._relative(source.path), width, height])
+        key = json.dumps([self._relative(source.path), width, height])
         plain = re.sub(r"[^A-Za-z0-9_-]", "_", source.path.stem)[:64]
-        return f"{plain}-{width}x{height}-{hashlib.sha256(told.encode()).hexdigest()[:12]}.picture"
+        return f"{plain}-{width}x{height}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.picture"
 
     def _relative(self, path: Path) -> str:
-        """As seen from the data set, which may be moved with all that is in it."""
+        """Relative to the data set, which may be moved as a whole."""
         return path.relative_to(self.root).as_posix() if path.is_relative_to(self.root) else str(path)
 
 
@@ -116,9 +117,9 @@ def _identity(path: Path) -> list[int]:
 
 
 def _read(path: Path, made_of: str) -> Decoded:
-    """An entry; raises what its damage makes libraries raise, ``ValueError`` if it is of something else."""
+    """An entry; raises what libraries raise, ``ValueError`` if it is another picture's."""
     if regular_file(path).stat().st_size > 8 * MAX_PIXELS:
-        raise ValueError("no picture is so large")
+        raise ValueError("no picture is that large")
     with zipfile.ZipFile(path) as archive:
         about = json.loads(_member(archive, ABOUT, range(LONGEST_ABOUT)))
         if about["made_of"] != made_of or about["type"] not in ("uint8", "uint16"):
@@ -147,7 +148,7 @@ def _member(archive: zipfile.ZipFile, name: str, sizes: range) -> bytes:
 
 
 def store_for(root: Path, pictures: Iterable[tuple[Path, int, int]]) -> tuple[UndistortedPictures, str]:
-    """Where pictures of the data set in ``root`` are kept, and that in words for ``Scene.messages``.
+    """Where pictures of the data set in ``root`` are cached, and a message for ``Scene.messages``.
 
     ``pictures``: file, width and height without distortion of each. In the data set's folder where that can
     be written and its disk has room, else in the user's cache folder, else nowhere. Nothing is written yet.
@@ -162,15 +163,15 @@ def store_for(root: Path, pictures: Iterable[tuple[Path, int, int]]) -> tuple[Un
     for folder, where in ((beside, beside), (with_user, with_user)):
         fault = _fault(folder, needed)
         if fault is None:
-            told = f"pictures without distortion are kept in {where} ({size}), which may be deleted"
-            return UndistortedPictures(root, (beside, with_user), folder), told
+            message = f"undistorted pictures are cached in {where} ({size}), which may be deleted"
+            return UndistortedPictures(root, (beside, with_user), folder), message
         why.append(f"{where}: {fault}")
-    told = f"pictures without distortion are made anew at each start ({'; '.join(why)})"
-    return UndistortedPictures(root, (beside, with_user), None), told
+    message = f"pictures are undistorted again at each start ({'; '.join(why)})"
+    return UndistortedPictures(root, (beside, with_user), None), message
 
 
 def _fault(folder: Path, needed: int) -> str | None:
-    """Why ``needed`` bytes cannot be kept in a folder that may not be there yet; None where they can."""
+    """Why ``needed`` bytes cannot be stored in a folder that may not exist yet; None where they can."""
     there = folder
     while not there.exists() and there != there.parent:
         there = there.parent
@@ -186,7 +187,7 @@ def _fault(folder: Path, needed: int) -> str | None:
 
 
 def user_cache() -> Path:
-    """The folder in which programs of this system keep what they can make again, with our name."""
+    """The folder in which programs of this system cache what they can make again, with our name."""
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or os.path.expanduser("~")
     elif sys.platform == "darwin":

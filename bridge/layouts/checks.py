@@ -47,13 +47,13 @@ def exposure(path: Path, value: Any, whose: str) -> float:
     return limits.EXPOSURE.check(number(path, value, what), f"{path}: {what}")
 
 
-def path_inside(root: Path, name: str, told_by: Path) -> Path:
+def path_inside(root: Path, name: str, origin: Path) -> Path:
     """``root / name``; raises ``BadValueError`` where that would lead out of ``root``, on any system."""
     plain = PurePosixPath(plain_name(name))
     drive = plain.parts and re.match("[A-Za-z]:", plain.parts[0])
     if plain.is_absolute() or ".." in plain.parts or not plain.parts or drive:
         raise BadValueError(
-            f"{told_by}: the file '{name:.80}' is not in {root}",
+            f"{origin}: the file '{name:.80}' is not in {root}",
             "Name files relative to that folder, without '..'.",
         )
     return root / plain

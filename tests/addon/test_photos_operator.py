@@ -55,7 +55,7 @@ folder.mkdir(exist_ok="--overwrite" in words)
 (folder / "prepare.json").write_text("{}")
 say(progress=1.0, message="written")
 say(result={"folder": out, "train": 1, "test": 1, "placed": 2, "places": 2,
-            "lines": [f"wrote {out}: 1 place for training"], "warnings": ["left out: bad.jpg"]})
+            "lines": [f"wrote {out}: 1 place for training"], "warnings": ["ignored: bad.jpg"]})
 """
 
 
@@ -110,7 +110,7 @@ def test_the_data_set_is_chosen_and_start_is_next(extension, photos, tmp_path):
     assert calls(tmp_path)[-1] == ["prepare", str(photos), "--out", out, *options]
     assert settings.data == out and settings.out == f"{out}_run"
     assert (settings.photos, extension.state.photos.folder) == ("", "")
-    assert extension.state.prepared.warnings == ("left out: bad.jpg",)
+    assert extension.state.prepared.warnings == ("ignored: bad.jpg",)
     assert extension.state.dataset.folder == out
     assert why_not(extension.state, "photos") == "Choose the folder of your photos"
 

@@ -358,7 +358,7 @@ def _of_profiles(photos: Sequence[Photo]) -> tuple[list[str], list[str]]:
     return [
         f"{count} {of} have the colour profile '{name}': converted to sRGB's primaries"
         for name, count in named.most_common()
-    ], [f"{count} {of} are taken as sRGB, for {why}" for why, count in reasons.most_common()]
+    ], [f"treating {count} {of} as sRGB: {why}" for why, count in reasons.most_common()]
 
 
 def _require_text_names(paths: Sequence[Path]) -> None:

@@ -262,8 +262,8 @@ def _warnings(brackets: Brackets, found: Found, same_exposure: bool) -> list[str
 
 
 def _left_out(skipped: list[Skipped]) -> list[str]:
-    """A sentence for each reason for which files are left out."""
+    """A sentence for each reason for which files are ignored."""
     by_reason: dict[str, list[str]] = {}
     for each in skipped:
         by_reason.setdefault(each.why, []).append(each.name)
-    return [f"left out: {some_names(names)} {why}" for why, names in by_reason.items()]
+    return [f"ignored: {some_names(names)} {why}" for why, names in by_reason.items()]

@@ -153,7 +153,7 @@ def test_what_a_video_or_a_web_page_fails_of_is_called_as_in_the_panel(tmp_path)
     assert told(VIDEO, one_exposure).endswith("the data set has one exposure: Set Change to something else.")
     (page := tmp_path / "page.html").write_text("mine")
     assert told(WEB, lambda: web_page.refuse_what_is_not_ours(page)) == (
-        f"{page} is there, and PhysHDR did not write it: Choose another place, or move it away."
+        f"{page} exists, and PhysHDR did not write it: Choose another place, or move it away."
     )
 
 

@@ -325,7 +325,7 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
     [
         ("a.xyz", [], "is not a format that can be written Its name must end in: .ply"),
         ("a.sog", [], "read, not written Write .spz"),
-        ("a.compressed.ply", [], "compressed PLY is read, not written"),
+        ("a.compressed.ply", [], "compressed PLY can be read, not written"),
         ("a.usdc", ["--up", "colmap"], "--up may be z or y"),
         ("a.usdc", ["--tone", "learned"], "before any response"),
         ("a.ply", ["--exposure-ev", "99"], "−30 to 30"),

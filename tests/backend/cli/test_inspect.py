@@ -381,7 +381,7 @@ def test_the_readers_remedy_is_told(tmp_path, capsys):
     root = layouts.write_colmap(tmp_path / "scene", exif=False)
     assert main(["inspect", str(root)]) == 1
     told = capsys.readouterr().err
-    assert "nothing tells their exposures" in told and "Write exposure.json beside images/" in told
+    assert "nothing states their exposures" in told and "Write exposure.json beside images/" in told
     assert "make the data set again" not in told
     assert main(["inspect", str(root), "--json"]) == 1
     found = json.loads(capsys.readouterr().out.splitlines()[0])["found"]

@@ -418,7 +418,7 @@ def test_heic_and_jpeg_of_a_phone_are_one_capture(room, heic, capture, tmp_path,
     assert prepare(folder, out, "--test-every", 0) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "1 photos are there as HEIC and as JPEG: the HEIC files are used" in said
-    assert f"left out: {broken.name} is not a readable photo (it ends after" in said
+    assert f"ignored: {broken.name} is not a readable photo (it ends after" in said
     assert f"{POSES - 1} of {POSES - 1} poses placed" in said and "exposures EV -3.0, -1.0, +1.0" in said
     origin = json.loads((out / "prepare.json").read_text())
     suffixes = [Path(source).suffix for source in origin["sources"].values()]
@@ -574,7 +574,7 @@ def test_what_is_not_of_the_photos_costs_no_bracket(room, tmp_path, capsys):
     assert all(any(name in warning for warning in found["warnings"]) for name in ("IMG_9_HDR", "notes.raw"))
     (photos / "IMG_7.jpg").unlink()
     said = refused(photos, "--look")  # and says what may be behind it
-    assert "not plain which of the 11" in said and "left out: poster.jpg is not an RGB picture" in said
+    assert "not plain which of the 11" in said and "ignored: poster.jpg is not an RGB picture" in said
 
 
 def test_a_mask_that_does_not_fit_or_is_damaged_costs_no_hours(room, tmp_path, monkeypatch):
@@ -711,6 +711,6 @@ def test_a_damaged_photo_costs_its_bracket_and_nothing_else(room, prepared, tmp_
     assert prepare(images, tmp_path / "out", *words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"{POSES - 2} of {POSES - 2} poses placed" in said
-    assert f"left out: {names[4]} is not a readable photo" in said and f"left out: {names[9]}" in said
+    assert f"ignored: {names[4]} is not a readable photo" in said and f"ignored: {names[9]}" in said
     skipped = json.loads((tmp_path / "out" / "prepare.json").read_text())["skipped"]
     assert set(skipped) == {*names[3:6], *names[9:12]}

@@ -21,8 +21,8 @@ from physhdr.backend.export.confidence import (
     confidence_of,
     confidence_picture,
     expected_error,
+    information_of,
     thinned,
-    told_by,
 )
 from physhdr.backend.methods.base import Facts
 from physhdr.backend.methods.registry import METHODS
@@ -203,7 +203,7 @@ def test_blend_weights_are_those_of_the_picture():
 def test_what_codes_tell_by_a_learned_response():
     """At its start the response is logit(value) = 0.6 (ln x − ln 2) + logit(0.7): every slope is known."""
     response = ToneMapper(ToneMapperConfig(), (2.0, 0.7))
-    told = told_by(CAMERA, response, np.dtype(np.uint8))
+    told = information_of(CAMERA, response, np.dtype(np.uint8))
     values = np.arange(256) / 255.0
     inside = slice(20, 236)
     logit = np.log(values[inside] / (1.0 - values[inside]))
@@ -217,12 +217,12 @@ def test_what_codes_tell_by_a_learned_response():
 
 
 def test_what_codes_tell_by_known_encodings():
-    linear = told_by(SRGB, KnownResponse(), np.dtype(np.uint16))
+    linear = information_of(SRGB, KnownResponse(), np.dtype(np.uint16))
     codes = np.array([1000, 20000, 60000])
     np.testing.assert_allclose(np.exp(linear.log_exposed[codes, 0]), to_linear(codes / 65535.0), rtol=1e-5)
     assert (linear.information[[0, 65535]] == 0.0).all()
     # Radiance does not clip, and is known to the same share of itself wherever it is above scale / 5000.
-    radiance = told_by(LogEncoding(4.0), KnownResponse(), np.dtype(np.uint16))
+    radiance = information_of(LogEncoding(4.0), KnownResponse(), np.dtype(np.uint16))
     assert radiance.information[65535, 0] > 0.0 and radiance.information[0, 0] == 0.0
     expected = (1.0 / math.log(5001.0)) ** 2 / (1.0 / (12.0 * 32767.5**2) + NOISE**2)
     np.testing.assert_allclose(radiance.information[40000:, 0], expected, rtol=1e-2)

@@ -127,7 +127,7 @@ def test_coefficients_of_any_size_have_a_step_that_holds_them():
 def test_any_degree_and_any_count(degree, count):
     model = some_model(count=count, degree=degree, lights=1)
     packed, kept, _ = matched(model)
-    assert kept.count == count and kept.sh_degree == degree and packed.left_out == 0
+    assert kept.count == count and kept.sh_degree == degree and packed.omitted == 0
     assert sum(size for _, size in packed.header["planes"]) == len(packed.raw())
 
 
@@ -159,7 +159,7 @@ def test_what_cannot_be_seen_is_left_out_and_counted():
     opacity = model.opacity.copy()
     opacity[:8] = ALPHA_MIN * 0.99
     packed = quantised(Model(**{**vars(model), "opacity": opacity}))
-    assert (packed.header["count"], packed.left_out) == (12, 8)
+    assert (packed.header["count"], packed.omitted) == (12, 8)
     assert packed.planes["opacity"].min() >= 1  # what is drawn stays drawn
     with pytest.raises(BadValueError, match="no Gaussian"):
         quantised(Model(**{**vars(model), "opacity": np.zeros_like(opacity)}))

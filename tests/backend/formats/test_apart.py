@@ -69,7 +69,7 @@ def test_who_takes_too_much_memory_is_ended(stage: Path, monkeypatch) -> None:
 
 def test_a_lack_of_memory_within_is_told(stage: Path) -> None:
     """No machine has 2⁵⁰ bytes."""
-    assert "not enough memory" in refused(stage, operator.mul, "a", 1 << 50)
+    assert "does not have enough memory" in refused(stage, operator.mul, "a", 1 << 50)
 
 
 def test_errors_come_back_as_they_were(tmp_path: Path) -> None:

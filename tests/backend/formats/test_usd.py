@@ -212,7 +212,7 @@ def test_a_stage_without_gaussians_and_an_unknown_colour_space_are_named(cloud, 
 
 
 def test_colmaps_up_cannot_be_said(cloud, tmp_path: Path) -> None:
-    with pytest.raises(BadValueError, match="up is colmap"):
+    with pytest.raises(BadValueError, match="up axis colmap"):
         write_usd(tmp_path / "a.usda", cloud, "colmap")
 
 

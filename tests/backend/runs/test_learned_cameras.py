@@ -121,6 +121,6 @@ def test_a_run_under_training_has_all_that_is_learned_so_far(tiny_data, tmp_path
 def test_another_programs_cameras_stay(run, tmp_path, capsys):
     (run / CAMERAS_FILE).write_text("[1]")
     assert main(["export", str(run)]) == 1
-    assert f"{run / CAMERAS_FILE} is there, and PhysHDR did not write it" in capsys.readouterr().err
+    assert f"{run / CAMERAS_FILE} exists, and PhysHDR did not write it" in capsys.readouterr().err
     assert (run / CAMERAS_FILE).read_text() == "[1]" and not (run / "model.safetensors").exists()
     assert main(["export", str(run), str(tmp_path / "out")]) == 0

@@ -169,7 +169,7 @@ def test_pictures_that_the_model_does_not_have_are_counted(layouts: ModuleType, 
     (root / "images" / "notes.txt").write_text("clouds came")
     scene = read_scene(root)
     assert (
-        "9 of 21 pictures in images/ are not used: the model does not have them (first: more/shot_04_0.jpg)"
+        "9 of 21 pictures in images/ are not used: the model lacks them (first: more/shot_04_0.jpg)"
     ) in scene.messages
     assert not any(
         "are not used" in told for told in read_scene(layouts.write_colmap(tmp_path / "b")).messages
@@ -210,7 +210,7 @@ def test_pictures_of_unknown_exposure_are_skipped(layouts: ModuleType, tmp_path:
     everything = {f"shot_{i:02d}": (0, 1, 2) for i in range(10) if i != 7}
     assert views == everything | {"shot_03": (0, 1)}
     (told,) = (message for message in scene.messages if message.startswith("exposures from EXIF"))
-    assert "2 of 28 pictures do not tell theirs: skipped (first: " in told
+    assert "skipping 2 of 28 pictures without an exposure (first: " in told
     assert f"shot_03_2.jpg has no {lacks} in its EXIF data" in told
     assert not any("not used" in message for message in scene.messages)
 
@@ -225,7 +225,7 @@ def test_a_frame_of_unknown_exposure_is_skipped(layouts: ModuleType, tmp_path: P
     (root / "transforms.json").write_text(json.dumps(content))
     scene = read_scene(root)
     assert sorted(view.index for view in (*scene.train, *scene.test)) == [0, 1, 3, 4, 5, 6, 7]
-    assert any("1 of 8 pictures do not tell theirs: skipped" in message for message in scene.messages)
+    assert any("skipping 1 of 8 pictures without an exposure" in message for message in scene.messages)
 
 
 def test_a_pose_that_the_exposure_file_leaves_out_is_skipped(layouts: ModuleType, tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_a_model_whose_pictures_are_kept_reduced_alone(layouts: ModuleType, tmp_
     (root / "images_low").mkdir()
     scene = read_scene(root)
     assert len(scene.train) + len(scene.test) == 10 and scene.train[0].bracket == (0, 1, 2)
-    assert "pictures from images_4/, for there is no images/" in scene.messages
+    assert "pictures from images_4/, because there is no images/" in scene.messages
     assert {(view.camera.width, view.camera.height) for view in scene.train} == {(W // 4, H // 4)}
     assert_spots(layouts, scene)
     assert read_scene(root, downscale=2.0).train[0].camera.width == W // 8
@@ -289,7 +289,7 @@ def test_frames_whose_pictures_are_kept_reduced_alone(
     (root / "images").rename(root / "images_4")
     scene = read_scene(root)
     assert len(scene.train) + len(scene.test) == 9
-    assert "pictures from images_4/, for there is no images/" in scene.messages
+    assert "pictures from images_4/, because there is no images/" in scene.messages
     assert_spots(layouts, scene)
 
 
@@ -445,7 +445,7 @@ def test_masks_of_transforms_go_through_the_lens(tmp_path: Path) -> None:
     (root / "transforms.json").write_text(json.dumps(content))
     for downscale in (1.0, 2.0):
         scene = read_scene(root, downscale)
-        assert "1 of 4 pictures have masks: what these black out is not compared" in scene.messages
+        assert "1 of 4 pictures have masks: black areas are not compared" in scene.messages
         views = {view.index: view for view in [*scene.train, *scene.test]}
         assert views[0].mask(0) is None
         mask = views[1].mask(0)
@@ -469,7 +469,7 @@ def test_masks_beside_a_model(layouts: ModuleType, tmp_path: Path) -> None:
     half_black(layouts.WIDTH, layouts.HEIGHT).save(root / "masks" / "shot_00_1.jpg.png")
     half_black(layouts.WIDTH, layouts.HEIGHT).save(root / "masks" / "shot_02_0.png")
     scene = read_scene(root, 1.0)
-    assert "2 of 9 pictures have masks: what these black out is not compared" in scene.messages
+    assert "2 of 9 pictures have masks: black areas are not compared" in scene.messages
     views = {view.name: view for view in [*scene.train, *scene.test]}
     assert views["shot_00"].mask(0) is None and views["shot_01"].mask(1) is None
     for view, place in ((views["shot_00"], 1), (views["shot_02"], 0)):

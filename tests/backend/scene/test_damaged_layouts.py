@@ -180,7 +180,7 @@ HDR_GS: list[Case] = [
 
 COLMAP: list[Case] = [
     ("no lens", sparse(model="SIMPLE_RADIAL", params=(90.0, 48.0, 36.0, 40.0)), BadValueError,
-     ("not credible", "SIMPLE_RADIAL 90, 48, 36, 40", "--camera")),
+     ("implausible", "SIMPLE_RADIAL 90, 48, 36, 40", "--camera")),
     ("panorama", sparse(model="EQUIRECTANGULAR", params=(96.0, 72.0)), BadValueError,
      ("camera 7", "360°", "views of 90°")),
     ("focal length", sparse(params=(-90.0, 90.0, 48.0, 36.0)), BadValueError,
@@ -213,7 +213,7 @@ COLMAP: list[Case] = [
     ("all damaged", lambda L, r: [p.write_bytes(b"JPEG") for p in r.glob("images/*")], FileDamagedError,
      ("9 of 9 pictures of the model", "shot_00_0.jpg is not a readable", "copy it again")),
     ("size", wrong_size("images/shot_02_0.jpg"), DataMismatchError, ("shot_02_0.jpg is 8×9",)),
-    ("no exposures", strip_exif("*"), DataMismatchError, ("brackets by their names", "exposure.json")),
+    ("no exposures", strip_exif("*"), DataMismatchError, ("are named as brackets", "exposure.json")),
     ("some EXIF", strip_exif("*_2.jpg"), DataMismatchError,
      ("has no exposure time", "6 of 9 pictures", "exposure.json")),
     ("some ISO",
@@ -256,7 +256,7 @@ NERFSTUDIO: list[Case] = [
     ("mask outside", frame(1, mask_path="../1.png"), BadValueError, ("../1.png", "without '..'")),
     ("size", wrong_size("images/frame_00001.png"), DataMismatchError, ("frame_00001.png is 8×9",)),
     ("no lens", edit("transforms.json", lambda c: c.update(k1=-40.0)), BadValueError,
-     ("not credible", "OPENCV", "-40")),
+     ("implausible", "OPENCV", "-40")),
     ("k4", edit("transforms.json", lambda c: c.update(k4=0.01)), BadValueError,
      ("k4 = 0.01 without k5 and k6", "undistort")),
     ("panorama", edit("transforms.json", lambda c: c.update(camera_model="EQUIRECTANGULAR")), BadValueError,
@@ -331,7 +331,7 @@ def test_inspect_names_what_the_reader_refuses(layouts: ModuleType, tmp_path: Pa
 def test_exposures_of_hdr_gs_are_never_assumed(layouts: ModuleType, tmp_path: Path) -> None:
     root = layouts.write_hdr_gs(tmp_path / "dog", poses=2)
     (root / "exposure.json").unlink()
-    with pytest.raises(DataMismatchError, match=r"nothing tells their exposures[\s\S]*exposure.json"):
+    with pytest.raises(DataMismatchError, match=r"nothing states their exposures[\s\S]*exposure.json"):
         read_scene(root)
 
 

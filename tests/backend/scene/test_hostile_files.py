@@ -379,7 +379,7 @@ def test_single_points_at_the_end_of_the_world_are_left_out(
     assert scene.points is not None and len(scene.points.positions) == len(scene.points.colours) == 299
     np.testing.assert_allclose(scene.points.positions[:, 0], [row[0] for row in rows], atol=1e-6)
     np.testing.assert_allclose(scene.points.colours[:, 0], [row[3] / 255 for row in rows], atol=1e-6)
-    assert "1 of 300 points are too far away (farther than 1e+06): left out" in scene.messages
+    assert "ignoring 1 of 300 points: farther away than 1e+06" in scene.messages
     refused(written(4), "4 of 300 points are too far away, the first, 296, at (3e+06, 0, 9e+06)")
 
 

@@ -151,14 +151,14 @@ def test_srgbs_primaries_are_left_alone_whatever_the_curve(tmp_path, curve):
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
-        (b"nothing", "no ICC profile"),
-        (profile("print", space=b"CMYK"), "'print' does not tell three primaries"),
+        (b"nothing", "not an ICC profile"),
+        (profile("print", space=b"CMYK"), "'print' does not hold three primaries"),
         (profile("cut")[:180], "three primaries"),
         (profile("odd", b"clut" + bytes(40)), "a curve is of the type 'clut'"),
         (profile("odd", parametric(7, 1.0)), "a curve is of the kind 7"),
-        (profile("odd", parametric(1, 1.0, 0.0, 0.0)), "a curve is level"),
+        (profile("odd", parametric(1, 1.0, 0.0, 0.0)), "a curve is constant"),
         (profile("Display P3").replace(b"rXYZ", b"qXYZ"), "it has no rXYZ"),
-        (profile("Display P3").replace(s15(0.51512), s15(2.0)), "add up to no white"),
+        (profile("Display P3").replace(s15(0.51512), s15(2.0)), "not add up to white"),
     ],
 )
 def test_other_profiles_are_refused_with_the_reason(raw, words):
@@ -241,7 +241,7 @@ def test_a_profile_that_cannot_be_used_is_told(layouts, tmp_path):
     write(root / "images/frame_00000.png", FLAT.repeat(6, 0).repeat(6, 1), profile("print", space=b"CMYK"))
     scene = read_scene(root)
     (told,) = (message for message in scene.messages if "ICC" in message)
-    assert "'print'" in told and "(1 of 4 pictures): taken as sRGB" in told
+    assert "'print'" in told and "(1 of 4 pictures): treating them as sRGB" in told
 
 
 @pytest.mark.parametrize("writer", ["write_syn", "write_gausshdr"])
@@ -279,7 +279,7 @@ def test_a_photo_whose_profile_cannot_be_used_is_told(tmp_path, name):
     Image.fromarray(FLAT[..., 0]).save(tmp_path / "c.avif", icc_profile=profile("grey", space=b"GRAY"))
     found = find_photos(tmp_path)
     (warning,) = found.warnings
-    assert warning.startswith("1 of 3 photos are taken as sRGB, for the ICC profile 'look' does not tell")
+    assert warning.startswith("treating 1 of 3 photos as sRGB: the ICC profile 'look' does not hold")
     assert "Convert the pictures to sRGB" in warning
     assert [photo.profile for photo in found.photos] == [None] * 3
 
@@ -356,5 +356,5 @@ def test_a_data_set_in_adobe_rgb_says_so(layouts, tmp_path):
     scene = read_scene(root)
     codes = scene.train[0].image(0)[9, 9].astype(int)
     assert np.abs(codes - as_littlecms_has_it(flat)[9, 9]).max() <= 1
-    told = [message for message in scene.messages if "says EXIF" in message]
-    assert told == ["4 of 4 pictures are in Adobe RGB (1998), says EXIF: converted to sRGB's"]
+    told = [message for message in scene.messages if "according to EXIF" in message]
+    assert told == ["4 of 4 pictures are in Adobe RGB (1998) according to EXIF: converted to sRGB's"]

@@ -212,7 +212,9 @@ def test_a_views_own_picture_is_not_its_truth(layouts: ModuleType, tmp_path: Pat
         frame["file_path"] = f"train_hdr/hdr_{index:03d}.exr"
         layouts.write_truth(root / frame["file_path"], 1.0 + index)
     (root / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(DataMismatchError, match=r"train_hdr/hdr_00\d\.exr is true radiance by its name"):
+    with pytest.raises(
+        DataMismatchError, match=r"train_hdr/hdr_00\d\.exr is a view's picture, and by its name true"
+    ):
         read_scene(root)
 
 
@@ -333,7 +335,9 @@ def test_hdr_nerf_real_with_colmaps_cameras(layouts: ModuleType, tmp_path: Path)
     scene = read_scene(root)
     assert_points_are_on_their_spots(layouts, scene)
     assert [view.index for view in scene.train] == [0, 2, 4] and [view.index for view in scene.test] == [1]
-    assert scene.points is not None and any("left out: 003" in message for message in scene.messages)
+    assert scene.points is not None and any(
+        "ignoring poses that it lacks: 003" in message for message in scene.messages
+    )
 
 
 # ---- GaussHDR ----------------------------------------------------------------------------------------
@@ -605,7 +609,7 @@ def test_a_stray_picture_leaves_brackets_as_they_are(layouts: ModuleType, tmp_pa
     views = {view.name: view.bracket for view in (*scene.train, *scene.test)}
     assert views == {f"shot_{i:02d}": (0, 1, 2) for i in range(10)} | {"overview": (2,)}
     assert (
-        "1 of 11 pictures of the model are of no bracket by their names: each is a view of its own "
+        "1 of 11 pictures of the model are not named as brackets: each is a separate view "
         "(first: overview.jpg)"
     ) in scene.messages
     assert not any("exposures are missing" in message for message in scene.messages)

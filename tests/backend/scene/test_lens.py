@@ -175,9 +175,7 @@ def test_models_that_bend_nothing_stay_as_they_are(layouts: ModuleType, tmp_path
 def test_without_pycolmap_the_remedy_is_told(layouts: ModuleType, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     read_scene(layouts.write_nerfstudio(tmp_path / "straight"))
-    with pytest.raises(
-        FileMissingError, match=r"\(OPENCV\) are freed of its distortion with pycolmap[\s\S]*pip"
-    ):
+    with pytest.raises(FileMissingError, match=r"\(OPENCV\) are undistorted with pycolmap[\s\S]*pip"):
         read_scene(layouts.write_nerfstudio(tmp_path / "bent", k1=0.1))
 
 

@@ -40,7 +40,7 @@ def test_each_file_is_a_split_and_numbers_are_those_of_names(lego: Path) -> None
         "split as transforms_train.json, transforms_test.json, transforms_val.json say"
     )
     assert all(view.exposures == (1.0,) for views in scene.splits.values() for view in views)
-    assert any("one exposure of 1 s" in message for message in scene.messages)
+    assert any("assuming 1 s for all pictures" in message for message in scene.messages)
 
 
 def test_what_is_transparent_is_not_compared(layouts: ModuleType, lego: Path) -> None:

@@ -282,7 +282,9 @@ def test_deep_pictures_are_refused_whole_or_damaged(
 ) -> None:
     path = tmp_path / "deep.exr"
     whole = write_deep(path, kind)
-    with pytest.raises(FileDamagedError, match=r"deep\.exr is not a readable OpenEXR picture .*it is deep"):
+    with pytest.raises(
+        FileDamagedError, match=r"deep\.exr is not a readable OpenEXR picture .*it is a deep EXR"
+    ):
         read(path)
     for damaged in fuzzing.mutations(whole, 60, 1):
         path.write_bytes(damaged)

@@ -58,7 +58,7 @@ def test_a_picture_is_made_once(bent: Path, made: list[int]) -> None:
 def test_nothing_is_written_before_a_picture_is_asked_for(bent: Path) -> None:
     scene = read_scene(bent)
     assert not (bent / ".physhdr").exists()
-    (told,) = (message for message in scene.messages if "are kept in" in message)
+    (told,) = (message for message in scene.messages if "are cached in" in message)
     assert str(bent / ".physhdr" / "undistorted") in told and "9 pictures, 0 MB" in told
     assert "may be deleted" in told
 
@@ -141,7 +141,7 @@ def test_a_folder_that_cannot_be_written(bent: Path, made: list[int], monkeypatc
     pictures(scene)
     users = tmp_path / "users" / "physhdr" / "undistorted"
     assert not (bent / ".physhdr").exists() and len(list(users.rglob("*.picture"))) == 9
-    assert any(f"are kept in {users}" in message for message in scene.messages)
+    assert any(f"are cached in {users}" in message for message in scene.messages)
     pictures(read_scene(bent))
     assert len(made) == 9
     shutil.rmtree(users)
@@ -149,7 +149,7 @@ def test_a_folder_that_cannot_be_written(bent: Path, made: list[int], monkeypatc
     scene = read_scene(bent)
     pictures(scene)
     assert len(made) == 18 and not users.exists() and not (bent / ".physhdr").exists()
-    (told,) = (message for message in scene.messages if "made anew at each start" in message)
+    (told,) = (message for message in scene.messages if "undistorted again at each start" in message)
     assert told.count("cannot be written") == 2
 
 
@@ -164,7 +164,9 @@ def test_a_disk_that_is_nearly_full(bent: Path, made: list[int], monkeypatch: py
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(1 << 40, (1 << 40) - 1000, 1000))
     scene = read_scene(bent)
-    assert any("made anew at each start" in m and "the disk has 0 MB left" in m for m in scene.messages)
+    assert any(
+        "undistorted again at each start" in m and "the disk has 0 MB left" in m for m in scene.messages
+    )
     pictures(scene)
     assert not (bent / ".physhdr").exists()
 
@@ -179,7 +181,7 @@ def test_a_disk_that_becomes_full_is_told_once(bent: Path, made, monkeypatch, ca
     with caplog.at_level(logging.WARNING):
         assert len(pictures(scene)) == 9
     (record,) = caplog.records
-    assert "No space left on device: pictures without distortion are made anew" in record.getMessage()
+    assert "No space left on device: pictures are undistorted again" in record.getMessage()
 
 
 READ_ALL = """

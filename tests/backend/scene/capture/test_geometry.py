@@ -66,7 +66,7 @@ def test_keypoints_go_where_the_lens_puts_them(room):
 
 def test_a_lens_beyond_belief_is_refused():
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=60, height=40, params=[50, 30, 20, 40.0])
-    with pytest.raises(BadValueError, match="not credible"):
+    with pytest.raises(BadValueError, match="implausible"):
         make_lens(camera, 1.0)
 
 

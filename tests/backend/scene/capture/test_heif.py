@@ -173,7 +173,7 @@ def test_an_icc_profile_does_what_it_does_to_a_png(heic, tmp_path):
     odd = display_p3().replace(b"rXYZ", b"qXYZ")
     heic.write_heic(tmp_path / "heic" / "a.heic", noise(), icc_profile=odd)
     (warning,) = find_photos(tmp_path / "heic").warnings
-    assert "1 of 1 photos are taken as sRGB" in warning and "it has no rXYZ" in warning
+    assert "treating 1 of 1 photos as sRGB" in warning and "it has no rXYZ" in warning
 
 
 def test_code_points_say_the_same_as_the_profile(heic, tmp_path):
@@ -272,7 +272,7 @@ def test_a_data_set_holds_none(heic, tmp_path):
     path = heic.write_heic(tmp_path / "a.png", noise())
     with pytest.raises(FileDamagedError) as caught:
         kind_of(path)
-    assert "a.png is a HEIC or an AVIF" in str(caught.value) and "physhdr prepare" in str(caught.value)
+    assert "a.png is HEIC or AVIF" in str(caught.value) and "physhdr prepare" in str(caught.value)
 
 
 # ---- AVIF --------------------------------------------------------------------------------------------------

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the pictures of a data set mean, whatever its layout: codes of a camera, linear values, radiance.
+"""How the pictures of a data set encode light, in any layout: a camera's codes, linear values, radiance.
 
 A reader finds files and cameras; this looks at what the files hold. Radiance (OpenEXR, .hdr, TIFF of floats)
 is exposure × radiance of the exposure that the layout states, 1 s where it states none; its scale is one for
-the whole data set. What ``physhdr prepare`` wrote of raw files is linear, as its prepare.json says.
+the whole data set. What ``physhdr prepare`` developed from raw files is linear, as its prepare.json says.
 """
 
 from collections import Counter
@@ -28,20 +28,20 @@ from .source import PictureSource, radiance_rec709
 SUFFIXES = (".exr", ".hdr", ".pic", ".rgbe", ".tif", ".tiff")
 #: The scale of radiance is this share of the values, of so many of the pictures, looked at so densely.
 SCALE_QUANTILE, SCALE_PICTURES, SCALE_PIXELS = 0.99, 24, 1 << 16
-#: Layouts whose published convention is to take no notice of alpha, nor of ICC profiles: codes as stored.
+#: Layouts whose published convention ignores alpha and ICC profiles: codes as stored.
 WITHOUT_ALPHA = ("PhysHDR", "HDR-NeRF-Syn", "HDR-NeRF-Real", "GaussHDR", "HDR-GS")
-#: Of radiance: training draws no more than ``RADIANCE_MAX``, and what is bright needs room above it.
+#: Of radiance: training renders no more than ``RADIANCE_MAX``, and what is bright needs room above it.
 LARGEST_SCALE = RADIANCE_MAX / 16.0
-#: A share of values below 0 that is worth a word.
+#: The share of values below 0 that is reported.
 WORTH_A_WORD = 1e-4
 
 
-def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
-    """The scene with what its pictures mean in every source, and in its messages what was found.
+def with_encodings(scene: Scene, color_space: str | None = None) -> Scene:
+    """The scene with the encoding of every picture source, and messages on what was found.
 
     ``color_space``: of radiance, by its name in ``color_space.NAMES``; None: as each file says, Linear
     Rec.709 where it says nothing. Sources whose encoding a reader has set stay as they are. Raises
-    ``BadValueError`` for a name that is none, and radiance that is none.
+    ``BadValueError`` for an unknown name, and for invalid radiance.
     """
     if color_space is not None:
         space_named(color_space)
@@ -63,8 +63,10 @@ def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
     alpha = scene.layout not in WITHOUT_ALPHA
     profiles: dict[Path, Profile] = {}
     if alpha and not plain.is_known:
-        profiles, told = _profiles([path for path in dict.fromkeys(files) if path not in radiance])
-        messages += told
+        profiles, profile_messages = _profiles(
+            [path for path in dict.fromkeys(files) if path not in radiance]
+        )
+        messages += profile_messages
 
     def meant(source: PictureSource) -> PictureSource:
         encoding = source.encoding
@@ -92,7 +94,7 @@ def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
 
 
 def _profiles(files: Sequence[Path]) -> tuple[dict[Path, Profile], list[str]]:
-    """What pictures that are not of sRGB's primaries are converted by, and what there is to say of it."""
+    """The profiles of pictures that do not have sRGB's primaries, and messages on them."""
     raw = {path: found for path in files if (found := profile_bytes(path)) is not None}
     profiles, messages = {}, []
     for each, count in Counter(raw.values()).most_common():
@@ -100,14 +102,16 @@ def _profiles(files: Sequence[Path]) -> tuple[dict[Path, Profile], list[str]]:
         try:
             profile = read_profile(each)
         except BadValueError as error:
-            messages.append(f"{error.message} ({count} of {len(files)} pictures): taken as sRGB")
+            messages.append(f"{error.message} ({count} of {len(files)} pictures): treating them as sRGB")
             continue
         if not profile.is_srgb:
             profiles |= {path: profile for path, found in raw.items() if found == each}
             messages.append(f"{have} '{profile.name}': converted to sRGB's primaries")
     by_exif = {path: found for path in files if path not in raw and (found := profile_by_exif(path))}
     for name, count in Counter(profile.name for profile in by_exif.values()).items():
-        messages.append(f"{count} of {len(files)} pictures are in {name}, says EXIF: converted to sRGB's")
+        messages.append(
+            f"{count} of {len(files)} pictures are in {name} according to EXIF: converted to sRGB's"
+        )
     return profiles | by_exif, messages
 
 
@@ -115,18 +119,18 @@ def _may_hold_radiance(path: Path) -> bool:
     try:
         return path.suffix.lower() in SUFFIXES and holds_radiance(path)
     except PhysHDRError:
-        return False  # whoever reads it is told what is wrong
+        return False  # its reader reports what is wrong
 
 
 def _of_integers(root: Path) -> Encoding:
-    """What integers mean: linear values where ``physhdr prepare`` says so, else a camera's codes."""
+    """How integers encode light: linear values where ``physhdr prepare`` says so, else a camera's codes."""
     path = root / CAPTURE_FILE
     if not path.is_file():
         return CAMERA
-    told = read_json_object(path, "Prepare the data set again.")
-    if told.get("format") != CAPTURE_FORMAT:
+    content = read_json_object(path, "Prepare the data set again.")
+    if content.get("format") != CAPTURE_FORMAT:
         return CAMERA
-    match told.get("encoding", "camera"):
+    match content.get("encoding", "camera"):
         case "camera":
             return CAMERA
         case "linear":
@@ -139,7 +143,7 @@ def _of_integers(root: Path) -> Encoding:
 
 
 def _scale(scene: Scene, radiance: set[Path], color_space: str) -> tuple[Encoding, list[str]]:
-    """The encoding of all radiance, and what there is to say of its colours.
+    """The encoding of all radiance, and messages on its colours.
 
     From training pictures alone where they hold any.
     """
@@ -167,15 +171,14 @@ def _scale(scene: Scene, radiance: set[Path], color_space: str) -> tuple[Encodin
     longest = max(seconds for _, seconds in pictures)
     if scale / longest > LARGEST_SCALE:
         raise BadValueError(
-            f"the pictures hold radiance of {scale / longest:.3g} and more: training draws no more than "
+            f"the pictures hold radiance of {scale / longest:.3g} and more: training renders no more than "
             f"{RADIANCE_MAX:g}",
             f"Give each an exposure that many times as long as what it has, such as {scale:.3g} s "
             "('exposure_time' in transforms.json, or exposure.json): radiance then is in that unit.",
         )
-    told = [f"colours: {'; '.join(spaces)}"]
+    messages = [f"colours: {'; '.join(spaces)}"]
     if outside > WORTH_A_WORD * pixels:
-        told.append(
-            f"{outside / pixels:.2%} of the pixels have colours outside of Rec.709: what is below 0 there "
-            "counts as 0"
+        messages.append(
+            f"{outside / pixels:.2%} of the pixels have colours outside Rec.709: negative channels count as 0"
         )
-    return LogEncoding(scale), told
+    return LogEncoding(scale), messages

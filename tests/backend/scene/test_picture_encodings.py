@@ -13,7 +13,7 @@ from PIL import Image
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.color_space import SPACES
 from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
-from physhdr.backend.scene.meaning import with_meaning
+from physhdr.backend.scene.picture_encodings import with_encodings
 from physhdr.bridge.errors import BadValueError
 
 WIDTH, HEIGHT, FRAMES = 16, 12, 5
@@ -96,7 +96,7 @@ def test_colours_outside_of_rec709_are_told_of(tmp_path):
         exr(path, pixels, "aces2065-1")
 
     scene = read_scene(nerfstudio(tmp_path, write, ".exr"))
-    (message,) = (m for m in scene.messages if "outside of Rec.709" in m)
+    (message,) = (m for m in scene.messages if "outside Rec.709" in m)
     share = float(message.split("%")[0])
     assert 25.0 <= share < 100.0
     view = scene.train[0]
@@ -172,6 +172,6 @@ def test_what_prepare_wrote_of_raw_files_is_linear(tmp_path):
 def test_rendered_data_sets_of_ours_are_not_touched(tiny_data):
     """Not one source is another object: trainings are bit-identical to what they were."""
     scene = read_scene(tiny_data)
-    assert with_meaning(scene) is scene and not scene.photographs
+    assert with_encodings(scene) is scene and not scene.photographs
     assert all(e == CAMERA for view in scene.train for e in view.encodings)
     assert not any(source.alpha for view in scene.train for source in view.sources)
