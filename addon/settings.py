@@ -283,7 +283,7 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         set=_set_automatic,
     )
     show_curves: bpy.props.BoolProperty(
-        name="Curves", default=True, description="Quality and loss over the training"
+        name="Curves", default=False, description="Quality and loss over the training"
     )
     exposure_mode: bpy.props.EnumProperty(name="Exposures", items=EXPOSURE_MODES)
     device: bpy.props.EnumProperty(name="Device", items=DEVICES)

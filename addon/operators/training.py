@@ -185,8 +185,6 @@ class PHYSHDR_OT_train_start(_Training):
             **{name: _chosen(self, context, name) for name in names},
         )
         _remember(context, out, data)
-        if context.scene.is_editable:
-            context.scene.physhdr.show_curves = True
         return self.begin(request)
 
 
@@ -417,7 +415,6 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         chosen = context.scene.physhdr
         if context.scene.is_editable:
             chosen.preview = False  # the object shows itself
-            chosen.show_curves = False  # its sliders are below, and in sight then
         self._look(context)
         return {"FINISHED"}
 

@@ -36,10 +36,7 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
         shown = followed(context.scene, context.view_layer, state.job)
         selected = models_of(context.object)
         target = selected[0] if selected else shown if settings.preview else None
-        row = layout.row()
         reason = why_not(state, "preview", choices(context))
-        row.enabled = settings.preview or not reason
-        row.prop(settings, "preview", toggle=True, icon="HIDE_OFF" if settings.preview else "HIDE_ON")
         if target is not None:
             layout.label(text=target.name, icon="OUTLINER_OB_POINTCLOUD")
             draw_look(layout, target)

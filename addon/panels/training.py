@@ -12,7 +12,7 @@ from ..blender import layout_of
 from ..chosen_run import run_of
 from ..operators.base import choices
 from ..runtime import session
-from ..session.advice import is_of_file
+from ..session.advice import is_of_file, why_not
 from ..session.state import State
 from ..settings import PHYSHDR_Settings
 from .parts import Subpanel, button, reasons, write
@@ -37,18 +37,50 @@ class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
         draw_choices(column, settings)
         column = layout.column(align=True)
         row = column.row(align=True)
-        button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
-        button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
+        if resumes(context, state):
+            button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
+        else:
+            button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
+        row.menu("PHYSHDR_MT_train", text="", icon="DOWNARROW_HLT")
         row = column.row(align=True)
-        button(context, row, state, "pause", "physhdr.train_pause", "Pause", "NONE")
-        button(context, row, state, "continue", "physhdr.train_continue", "Continue", "NONE")
-        button(context, row, state, "stop", "physhdr.train_stop", "Stop", "NONE")
+        if state.job.state == "paused":
+            button(context, row, state, "continue", "physhdr.train_continue", "Continue", "PLAY")
+        else:
+            button(context, row, state, "pause", "physhdr.train_pause", "Pause", "PAUSE")
+        button(context, row, state, "stop", "physhdr.train_stop", "Stop", "SNAP_FACE")
+        draw_preview(context, column.row(align=True), state, settings)
         draw_result(context, layout, state)
         if state.stopping:
             button(context, layout, state, "end", "physhdr.train_end", "End Now", "CANCEL")
         if not state.active:
             reasons(context, layout, state, "start")
         draw_curves(context, layout, state, settings)
+
+
+class PHYSHDR_MT_train(bpy.types.Menu):
+    """Whichever of the two the button is not."""
+
+    bl_label = "Start or Resume"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, state = layout_of(self), session().state
+        button(context, layout, state, "start", "physhdr.train_start", "Start a New Training", "PLAY")
+        button(context, layout, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
+
+
+def resumes(context: bpy.types.Context, state: State) -> bool:
+    """Whether the training that was begun is what one goes on with: the run's folder has one, unfinished."""
+    chosen = choices(context)
+    is_finished = state.job.state == "finished" and is_of_file(state.job, chosen)
+    return not is_finished and not why_not(state, "resume", chosen)
+
+
+def draw_preview(
+    context: bpy.types.Context, layout: bpy.types.UILayout, state: State, settings: PHYSHDR_Settings
+) -> None:
+    """What the training has learned so far, in the 3D view."""
+    layout.enabled = settings.preview or not why_not(state, "preview", choices(context))
+    layout.prop(settings, "preview", toggle=True, icon="HIDE_OFF" if settings.preview else "HIDE_ON")
 
 
 def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None:
@@ -103,4 +135,4 @@ def draw_curves(
         write(context, body, "Orange: loss, what is still wrong")
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_training,))
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_MT_train, PHYSHDR_PT_training))
