@@ -58,6 +58,7 @@ _MODULES = (
     "panels.lighting",
     "panels.cg",
     "panels.render",
+    "panels.status_bar",
 )
 
 

@@ -30,12 +30,15 @@ def session() -> Session:
 
 
 def redraw() -> None:
-    """Draw the 3D views again: their panels show the state."""
+    """Draw the 3D views again, whose panels show the state, and the status bar."""
     manager = bpy.context.window_manager
     for window in manager.windows if manager else ():
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
+        # Nothing else draws the status bar again; the text is that of an operator, which none is at.
+        if window.workspace and not window.modal_operators:
+            window.workspace.status_text_set(None)
 
 
 def renew() -> None:

@@ -11,10 +11,8 @@ from ..model import nodes
 from ..model.attributes import CAMERA_DISTANCE, CONFIDENCE
 from ..model.cleaning import Cleaning
 from ..model.look import cleaning_of, is_model, kept_of
-from ..runtime import session
-from ..session.results import BAKE
 from ..viewport import overlay
-from .parts import Subpanel, draw_task, write
+from .parts import Subpanel, write
 
 #: A slider that moves is waited for so long, seconds: counting a million Gaussians takes longer than drawing.
 PATIENCE = 0.15
@@ -119,7 +117,6 @@ class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):
         _draw_find(layout)
         layout.operator("physhdr.model_save", text="Save Edited Model…", icon="FILE_TICK")
         layout.operator("physhdr.model_bake", text="Bake to PLY…", icon="EXPORT")
-        draw_task(layout, session().state, BAKE)
 
 
 class PHYSHDR_PT_culling(Subpanel, bpy.types.Panel):

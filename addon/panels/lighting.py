@@ -9,7 +9,7 @@ from ..light.probe_checks import warnings_of
 from ..operators.lighting import model_in
 from ..runtime import session
 from ..session.light import LIGHT
-from .parts import Subpanel, draw_task, write
+from .parts import Subpanel, write
 
 
 class PHYSHDR_PT_light(Subpanel, bpy.types.Panel):
@@ -21,12 +21,10 @@ class PHYSHDR_PT_light(Subpanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, model = layout_of(self), model_in(context)
-        if session().state.task(LIGHT):
-            draw_task(layout, session().state, LIGHT)
-        else:
-            column = layout.column(align=True)
-            column.operator("physhdr.light_from_here", icon="LIGHTPROBE_SPHERE")
-            write(context, column, _places(context))
+        column = layout.column(align=True)
+        column.enabled = session().state.task(LIGHT) is None
+        column.operator("physhdr.light_from_here", icon="LIGHTPROBE_SPHERE")
+        write(context, column, _places(context))
         found = probes.probes_of(context.scene, model) if model else []
         for probe in found:
             assert model is not None

@@ -9,6 +9,7 @@ import bpy
 from ..operators.base import choices
 from ..session.advice import why_not
 from ..session.state import Problem, State
+from ..session.tasks import TASKS
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -82,7 +83,8 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str, lines: int = 
     task = state.task(name)
     if task is None:
         return
-    text = f"{task.fraction:.0%}"
+    title = next((title for known, title, _ in TASKS if known == name), name)
+    text = f"{title} {task.fraction:.0%}"
     if task.seconds_left >= 0.0:
         text += f"   {duration(task.seconds_left)} left"
     column = layout.column(align=True)

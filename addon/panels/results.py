@@ -18,7 +18,7 @@ from ..session.results import (
     evaluation_of,
     why_not_on_run,
 )
-from .parts import Subpanel, draw_task, write
+from .parts import Subpanel, write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -55,8 +55,6 @@ class PHYSHDR_PT_results(Subpanel, bpy.types.Panel):
                 cell = row.row(align=True)
                 cell.enabled = not why_not_on_run(state, name, run)
                 cell.operator(f"physhdr.results_{name}", text=text, icon=icon)
-            for name, _, _ in buttons:
-                draw_task(layout, state, name)
         reason = why_not_on_run(state, EVALUATE, run)
         if reason and not state.task(EVALUATE):
             write(context, layout, reason, "INFO")

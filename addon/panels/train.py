@@ -10,7 +10,7 @@ from ..blender import layout_of
 from ..operators.base import choices
 from ..runtime import session
 from ..session.advice import headline, is_of_file, next_step, problem_of
-from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, State
+from ..session.state import State
 from .parts import BOX, SidebarPanel, draw_problem, draw_task, duration, shortened, write
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 #: Rows that are kept for the next step, and below the bar of what is under way.
 STEP_LINES, PROGRESS_LINES = 2, 2
-#: Child processes that are shown here.
-TASKS = (INSTALL, CHECK, DATASET, LOOK, PHOTOS)
 READY: "IconItems" = "RADIOBUT_ON"
 ICONS: "dict[str, IconItems]" = {
     "training": "PLAY",
@@ -62,7 +60,7 @@ def draw_progress(
 
     A training comes first; child processes beside it have bars of their own.
     """
-    tasks = [task.name for task in state.tasks if task.name in TASKS]
+    tasks = [task.name for task in state.tasks]
     job = state.job
     column = layout.column(align=True)
     if state.active or (job.run and job.iterations and is_mine and not tasks):

@@ -189,6 +189,7 @@ def data_set(folder: Path, places: list) -> None:
         pose[:3, 3] = place
         frames.append({"file_path": "train/a", "transform_matrix": pose.tolist()})
     (folder / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": frames}))
+    (folder / "exposure_train.json").write_text(json.dumps({"./train/a_0.png": 1.0}))
 
 
 def test_distances_are_to_the_nearest_camera_of_the_data_set(add, tmp_path):

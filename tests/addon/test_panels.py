@@ -14,13 +14,14 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon import plot, runtime, settings  # noqa: E402
-from physhdr.addon.panels import parts  # noqa: E402
+from physhdr.addon.panels import parts, status_bar  # noqa: E402
 from physhdr.addon.panels.backend import PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready  # noqa: E402
 from physhdr.addon.panels.dataset import PHYSHDR_PT_dataset  # noqa: E402
 from physhdr.addon.panels.illumination import PHYSHDR_PT_illumination  # noqa: E402
 from physhdr.addon.panels.train import PHYSHDR_PT_train  # noqa: E402
 from physhdr.addon.panels.training import PHYSHDR_PT_training  # noqa: E402
 from physhdr.addon.session.state import Backend, Dataset, Link, Photos, Problem, Running, State  # noqa: E402
+from physhdr.addon.session.tasks import TASKS  # noqa: E402
 from physhdr.bridge.messages import Failure, History, JobStatus, Welcome  # noqa: E402
 
 #: Of Blender's sidebar as it comes, and of a text button beside its text, an enumeration's arrow, an icon.
@@ -522,3 +523,18 @@ def test_iterations_are_automatic_until_a_number_is_wanted(chosen):
     assert height(draw(PHYSHDR_PT_training, state))[1] == before
     chosen.iterations = 0  # as scripts say it
     assert chosen.iterations_automatic
+
+
+def test_all_that_is_under_way_is_at_the_top_and_in_the_status_bar(chosen):
+    """Whichever panel its button is in; with its name, its time left and a way to cancel it."""
+    for name, title, _ in TASKS:
+        state = State(tasks=(Running(name, "log", 0.4, "half way", 90.0),))
+        told = " ".join(text for _, text, *_ in texts(draw(PHYSHDR_PT_train, state)))
+        assert f"{title} 40%" in told and "1 min 30 s left" in told
+        assert list(status_bar.at_work(state)) == [(f"{title} 40%, 1 min 30 s left", 0.4, name)]
+    job = replace(states(chosen.data)["training"], tasks=(Running("web", "log", 0.5, ""),))
+    assert [work.text for work in status_bar.at_work(job)] == [
+        "Training 1234 / 25000, 1 h 23 min left",
+        "Web Page 50%",
+    ]
+    assert not list(status_bar.at_work(states(chosen.data)["ready"]))
