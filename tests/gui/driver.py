@@ -326,7 +326,8 @@ class Window:
         yield from self.until(lambda: not pid or not alive(pid), 30, "gone")
 
     def end(self) -> Iterator[float]:
-        """``yield from``: nothing that this Blender has begun is under way any more."""
+        """``yield from``: nothing that this Blender has begun is under way any more, and it never warned."""
+        assert not bpy.app.autoexec_fail, f"a security warning was provoked: {bpy.app.autoexec_fail_message}"
         if not is_enabled():
             return
         for task in self.session.state.tasks:
