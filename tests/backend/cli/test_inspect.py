@@ -311,7 +311,8 @@ def test_nonsense_in_dataset_json_ends_in_no_traceback(data, key, capsys, monkey
         for folders in ((data,), (data, data)):  # one is reported at length, several in a table
             with suppress(DataMismatchError):  # it names faults
                 Inspect(folders).run()
-            assert "32×32" in capsys.readouterr().out
+            shown = capsys.readouterr().out
+            assert "32×32" in shown and "pixels, not" not in shown
 
 
 # ---- other layouts -----------------------------------------------------------------------------------
