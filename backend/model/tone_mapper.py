@@ -348,7 +348,7 @@ class ToneMapper(Response):
         if not self.config.warm_start_steps:
             return
         generator = torch.Generator().manual_seed(seed)
-        curves = [self.w1, self.b1, self.w2, self.b2]
+        curves: list[torch.Tensor] = [self.w1, self.b1, self.w2, self.b2]
         optimiser = Adam([Group("curves", curves, WARM_START_LEARNING_RATE)])
         for _ in range(self.config.warm_start_steps):
             x = torch.empty(3, WARM_START_BATCH).uniform_(
