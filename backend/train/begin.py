@@ -50,7 +50,6 @@ def begin(
     """The state before the first iteration.
 
     ``implementation`` picks the rasteriser; ``placing`` puts the first primitives where they are.
-
     Raises ``BadValueError`` or ``DataMismatchError`` where the scene cannot be trained with ``config``.
     """
     state, kinds = _empty(planned(scene, config), implementation, device, fingerprint(config))

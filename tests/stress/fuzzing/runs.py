@@ -121,6 +121,7 @@ def write_run_and_data(folder: Path) -> None:
     """A run of one preset, and beside it the data set that it was trained on, with masks."""
     from physhdr.backend.runs.begin import start_run
     from physhdr.backend.train.config import TrainConfig
+    from physhdr.backend.train.trainer import run as train
 
     home = folder / "photographs"
     layouts = tests_module("backend/scene/layouts.py")
@@ -128,7 +129,7 @@ def write_run_and_data(folder: Path) -> None:
     config = TrainConfig(iterations=ITERATIONS, initial_points="random", random_points=50)
     words: dict[str, Any] = {"typed": ["iterations"], "overwrite": False, "workshop": _workshop([])}
     with start_run(home / "data", home / "run", config, "default", **words) as (state, run):
-        for _ in run(state, run.folder, should_stop=lambda: state.iteration >= ITERATIONS - 1):
+        for _ in train(state, run.folder, should_stop=lambda: state.iteration >= ITERATIONS - 1):
             pass
     digests = {str(path.relative_to(home)): _digest(path) for path in home.rglob("*") if path.is_file()}
     (home / WHOLE).write_text(json.dumps(digests))
