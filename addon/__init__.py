@@ -59,6 +59,7 @@ _MODULES = (
     "panels.cg",
     "panels.render",
     "panels.status_bar",
+    "panels.menus",
 )
 
 

@@ -197,6 +197,7 @@ class PHYSHDR_OT_log_open(bpy.types.Operator):
 
     bl_idname = "physhdr.log_open"
     bl_label = "Show Log"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     filepath: bpy.props.StringProperty(name="Log", subtype="FILE_PATH")
 

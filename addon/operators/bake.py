@@ -18,7 +18,7 @@ from ...bridge.model_file import SUFFIX, Model, write_model
 from ...bridge.run_folder import VIEWS_FILE
 from ...bridge.splat_files import read_splat_file
 from .. import outside
-from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
+from ..blender import cloud_of, layout_of, world_of
 from ..model.attributes import FILE
 from ..model.bake import bake, baked_look, baked_model, moved, write_fitted
 from ..model.look import Look, is_model, look_of
@@ -212,15 +212,4 @@ def _active_model(context: bpy.types.Context) -> bpy.types.Object:
     return context.object
 
 
-def _draw_export_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    layout_of(menu).operator(PHYSHDR_OT_model_bake.bl_idname, text="PhysHDR Gaussians, baked (.ply)")
-
-
-def register() -> None:
-    bpy.utils.register_class(PHYSHDR_OT_model_bake)
-    add_entry(bpy.types.TOPBAR_MT_file_export, _draw_export_menu)
-
-
-def unregister() -> None:
-    remove_entry(bpy.types.TOPBAR_MT_file_export, _draw_export_menu)
-    bpy.utils.unregister_class(PHYSHDR_OT_model_bake)
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_OT_model_bake,))

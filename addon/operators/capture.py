@@ -241,7 +241,7 @@ class PHYSHDR_OT_capture_reset(_OnCapture):
     """Put the capture back to where it was imported, and forget its scale and ground"""
 
     bl_idname = "physhdr.capture_reset"
-    bl_label = "As Imported"
+    bl_label = "Reset Scale and Ground"
 
     def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
         placement.forget(context.scene, target)

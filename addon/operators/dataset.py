@@ -293,7 +293,7 @@ class PHYSHDR_OT_dataset_check(bpy.types.Operator):
 
     bl_idname = "physhdr.dataset_check"
     bl_label = "Check Data Set"
-    bl_options: ClassVar[set[str]] = {"REGISTER"}
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     folder: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options=RELATIVE)
 

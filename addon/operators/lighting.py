@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that let a capture light the scene: *Light From Here*, *Light as Before*.
+"""Operators that let a capture light the scene: *Light From Here*, *Restore World*.
 
 The panoramas are drawn by the backend, in a process of its own, from the file that the model was imported
 from; where there is no backend, or the model was edited since, by Cycles in this Blender.
@@ -295,7 +295,7 @@ class PHYSHDR_OT_light_reset(bpy.types.Operator):
     """Give the scene the world back that it had before a capture lit it. The probes stay"""
 
     bl_idname = "physhdr.light_reset"
-    bl_label = "Light as Before"
+    bl_label = "Restore World"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     @classmethod

@@ -12,7 +12,7 @@ from ...bridge.gaussian_import import is_model_file
 from ...bridge.model_file import SUFFIX, write_model
 from ...bridge.splat_files import SUFFIXES
 from .. import outside
-from ..blender import add_entry, cloud_of, layout_of, remove_entry, takes_objects
+from ..blender import cloud_of, layout_of, takes_objects
 from ..capture.placement import place
 from ..model.attributes import DISPLAY, FILE
 from ..model.edited_model import edited_model
@@ -220,28 +220,7 @@ class PHYSHDR_OT_model_save(bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
 
-def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    layout_of(menu).operator(
-        PHYSHDR_OT_model_import.bl_idname, text=f"PhysHDR model, Gaussians ({'/'.join(OFFERED[:-1])})"
-    )
-
-
-def _draw_export_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    layout_of(menu).operator(PHYSHDR_OT_model_save.bl_idname, text="PhysHDR model, as edited (.safetensors)")
-
-
 _CLASSES = (PHYSHDR_OT_model_import, PHYSHDR_FH_gaussians, PHYSHDR_OT_model_save)
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-    add_entry(bpy.types.TOPBAR_MT_file_import, _draw_import_menu)
-    add_entry(bpy.types.TOPBAR_MT_file_export, _draw_export_menu)
-
-
-def unregister() -> None:
-    remove_entry(bpy.types.TOPBAR_MT_file_export, _draw_export_menu)
-    remove_entry(bpy.types.TOPBAR_MT_file_import, _draw_import_menu)
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -174,7 +174,7 @@ class PHYSHDR_OT_results_video(_OnRun):
     the photographs. It runs beside your work"""
 
     bl_idname = "physhdr.results_video"
-    bl_label = "Video"
+    bl_label = "Make Video"
     task = VIDEO
 
     run_folder: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={*FOLDER, "HIDDEN"})
