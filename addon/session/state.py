@@ -21,7 +21,7 @@ from ...bridge.messages import (
 from .task import TaskEnded, TaskProgress
 
 INSTALL, CHECK, DATASET, LOOK, PHOTOS = "install", "check", "dataset", "look", "photos"
-#: Of the check's error where a package that training needs is not installed (backend/cli/findings.py).
+#: Of the check's error where a package that training needs is not installed (backend/cli/check_report.py).
 MISSING_MODULE = "missing_module"
 
 #: Of the backend's error where what it prepared was stopped (backend/serve/engine.py).

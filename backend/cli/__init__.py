@@ -21,11 +21,11 @@ from ...bridge.regular import require_text
 from ..memory import refuse_too_few_addresses
 from ..project import requirements, version
 from ..tables import Table
-from .words import Words, words_of
+from .error_report import ErrorReport, describe_error
 
 __all__ = ["main"]
 
-#: What an interrupted command ends with, and one whose reader has gone, as shells have it.
+#: Exit statuses, as in shells, of an interrupted command and of one whose output nobody reads any more.
 INTERRUPTED = 130
 UNREAD = 141
 #: Module and dataclass of each command. Only the one that is called is imported: others need seconds.
@@ -44,37 +44,37 @@ COMMANDS = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status. What a user can fix is one message, no traceback.
+    """Run one command; returns the exit status. Errors that a user can fix print one message, no traceback.
 
-    With ``--json`` that message is an object, the last line of stdout, whatever the command
+    With ``--json``, every command writes that message as an object, the last line of stdout
     (docs/protocol.md).
     """
     argv = sys.argv[1:] if argv is None else argv
     _prepare_streams()
     try:
-        refuse_too_few_addresses()  # before any library is loaded, which would end the process in its own way
+        refuse_too_few_addresses()  # before loading libraries, which would crash
         for word in argv:
             require_text(word)
-        _require_working_folder()  # without one, libraries end the process in their own way, too
+        _require_working_folder()  # without one, libraries crash, too
         if argv[:1] == ["check"]:
-            from .check import main as check  # before any import that could fail: finding out is its task
+            from .check import main as check  # before any import that could fail, because it reports those
 
             return check(argv[1:])
-        status = _answered(argv)
-        sys.stdout.flush()  # at the end of the process it would be too late to say what failed
+        status = _run(argv)
+        sys.stdout.flush()  # at exit it would be too late to report a failure
         return status
     except KeyboardInterrupt:
-        if not _tells_programs(argv, Words("cancelled", "interrupted", "")):
+        if not _written_as_json(argv, ErrorReport("cancelled", "interrupted", "")):
             _complain("interrupted")
         return INTERRUPTED
     except Exception as error:
         if isinstance(error, OSError) and _nobody_reads(error):  # physhdr train --help | head
             return UNREAD
-        told = words_of(error, argv)
-        if told is None:
+        report = describe_error(error, argv)
+        if report is None:
             raise
-        if not _tells_programs(argv, told):
-            _complain(f"error: {told}")
+        if not _written_as_json(argv, report):
+            _complain(f"error: {report}")
         return 1
 
 
@@ -83,13 +83,13 @@ def _require_working_folder() -> None:
         os.getcwd()
     except OSError as error:
         raise FileMissingError(
-            f"the folder that this command is called in is not there any more: {error.strerror}",
-            "Go to another one (cd), and call again.",
+            f"the working folder no longer exists: {error.strerror}",
+            "Change to another one (cd) and try again.",
         ) from error
 
 
-def _answered(argv: list[str]) -> int:
-    if argv[:1] == ["requirements"]:  # for whoever makes the environment (launch.py)
+def _run(argv: list[str]) -> int:
+    if argv[:1] == ["requirements"]:  # for launch.py, which makes the environment
         sys.stdout.write("\n".join(requirements(*argv[1:2])) + "\n")
         return 0
     if argv == ["--version"]:
@@ -97,38 +97,38 @@ def _answered(argv: list[str]) -> int:
         return 0
     try:
         return _command(argv).run()
-    except SystemExit:  # the parser's, after --help, too
+    except SystemExit:  # from the parser, also after --help
         sys.stdout.flush()
         raise
 
 
 def _prepare_streams() -> None:
-    """Open the standard streams that this process was started without, and escape what stdout cannot encode.
+    """Open missing standard streams, and escape what stdout cannot encode.
 
-    A shell's ``>&-`` closes stdout, and a program without a window on Windows has none: what is said there
-    goes nowhere, and no file of ours gets its descriptor. No command fails at a user's file name, or at an
-    arrow of ours: on Windows a pipe or a file takes a code page, which lacks most letters.
+    A shell's ``>&-`` closes stdout, and a Windows program without a console has none: output is discarded,
+    and no file of ours gets its descriptor. On Windows, pipes and files use a code page that lacks most
+    letters: escaping keeps commands from failing at a user's file name or our own arrows.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115
-            os.set_inheritable(stream.fileno(), True)  # processes that are started from here have it, too
+            os.set_inheritable(stream.fileno(), True)  # child processes have it, too
             setattr(sys, name, stream)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _complain(text: str) -> None:
-    """On stderr, if that can be written to: the exit status says that something failed in any case."""
+    """Write to stderr if possible: the exit status reports the failure in any case."""
     with suppress(OSError):
         sys.stderr.write(f"{text}\n")
 
 
 def _nobody_reads(error: OSError) -> bool:
-    """Whether it is stdout that is broken; what is still to be written then is dropped."""
+    """Whether stdout is the broken pipe; if so, the remaining output is discarded."""
     try:
         descriptor = sys.stdout.fileno()
-    except (AttributeError, OSError, ValueError):  # something in place of stdout, or it is closed
+    except (AttributeError, OSError, ValueError):  # stdout was replaced or closed
         return False
     if not _is_of_stdout(error, descriptor):
         return False
@@ -137,32 +137,32 @@ def _nobody_reads(error: OSError) -> bool:
 
 
 def _is_of_stdout(error: OSError, descriptor: int) -> bool:
-    """Whether the error says that nobody reads a pipe, and stdout, of this descriptor, is that pipe."""
-    if sys.platform == "win32":  # has no poll, and calls it an invalid argument (bugs.python.org/issue35754)
+    """Whether the error is a broken pipe, and stdout, with this descriptor, is that pipe."""
+    if sys.platform == "win32":  # no poll; reports an invalid argument (bugs.python.org/issue35754)
         if error.errno not in (errno.EINVAL, errno.EPIPE) or error.filename is not None:
             return False
         try:
             if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
-                os.write(descriptor, b"\n")  # the only way to ask there
+                os.write(descriptor, b"\n")  # the only way to find out there
         except OSError:
             return True
         return False
     if not isinstance(error, BrokenPipeError):
         return False
-    asked = select.poll()
-    asked.register(descriptor, 0)
-    return bool(asked.poll(0))  # errors are told unasked
+    poll = select.poll()
+    poll.register(descriptor, 0)
+    return bool(poll.poll(0))  # errors are always reported
 
 
-def _tells_programs(argv: Sequence[str], told: Words) -> bool:
-    """Whether the command answers a program, which then has been told."""
-    ours = argv[: argv.index("--")] if "--" in argv else argv  # what follows is of another program
+def _written_as_json(argv: Sequence[str], report: ErrorReport) -> bool:
+    """Write the report as JSON if the command has ``--json``; returns whether it was written."""
+    ours = argv[: argv.index("--")] if "--" in argv else argv  # the rest is for another program
     if "--json" not in ours:
         return False
     try:
-        sys.stdout.write(json.dumps({"error": asdict(told)}) + "\n")
+        sys.stdout.write(json.dumps({"error": asdict(report)}) + "\n")
         sys.stdout.flush()
-    except OSError:  # nobody reads, or it is a file on the disk that is full
+    except OSError:  # a broken pipe, or a file on the full disk
         return False
     return True
 
@@ -172,7 +172,7 @@ def _command(argv: list[str]) -> Any:
     import tyro
 
     name = argv[0] if argv else ""
-    if name == "synthesise":  # what comes after its two dashes is another program's
+    if name == "synthesise":  # what follows -- is for another program
         from .synthesise import parsed
 
         return parsed(argv[1:])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr calibrate``: a camera's response and vignetting out of a run, for its next capture."""
+"""``physhdr calibrate``: save a camera's response and vignetting from a run, for its next capture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ class Calibrate:
         calibration = calibration_of(run.method, vignetting, reach, run.scene.name)
         if calibration.response is None and calibration.vignetting is None:
             raise DataMismatchError(
-                f"{self.folder} has learned nothing of its camera: its pictures' response was known",
+                f"{self.folder} has learned nothing about its camera: the response of its pictures was known",
                 "Train with --nuisances on, which learns the vignetting.",
             )
         write_calibration(self.out, calibration)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run's confidence drawn, and held against truth: parts of ``physhdr render`` and ``physhdr evaluate``."""
+"""Renders a run's confidence and compares it with truth, for ``physhdr render`` and ``physhdr evaluate``."""
 
 import json
 from pathlib import Path
@@ -23,45 +23,45 @@ from ..methods.base import Method
 from ..runs.run import Run
 from ..scene import Camera
 from ..scene.pictures import write_exr, write_png
-from .told import progress
+from .output import progress
 
 #: Rows of the legend below a picture, and of black above it.
 LEGEND, GAP = 12, 4
 
 
-def on_gaussians_and_sure(run: Run) -> tuple[Method, np.ndarray]:
+def gaussians_with_confidence(run: Run) -> tuple[Method, np.ndarray]:
     """The method on plain Gaussians and their confidence ``[N]``.
 
-    Raises ``FileMissingError`` where the training pictures are not there to tell it.
+    Raises ``FileMissingError`` where the training pictures, from which it is computed, are missing.
     """
     method = run.on_gaussians()
     with progress("confidence", "view", as_json=False) as show:
         found = run.confidence(method, show)
     if found is None:
         raise FileMissingError(
-            f"the pictures that {run.folder} was trained on are not there: {run.scene.root}",
-            "Name the data set where it is now: --data DATA",
+            f"the pictures that {run.folder} was trained on are missing: {run.scene.root}",
+            "Give the data set's present folder: --data DATA",
         )
     return method, found
 
 
 def write_confidence(run: Run, camera: Camera, out: Path) -> list[Path]:
-    """Draw the confidence that ``camera`` sees: numbers as .exr, colours with a legend as .png.
+    """Render the confidence seen by ``camera``: numbers as .exr, colours with a legend as .png.
 
-    ``out``: either of the two; the other lies beside it. Raises as ``on_gaussians_and_sure``.
+    ``out``: either of the two; the other is written next to it. Raises as ``gaussians_with_confidence``.
     """
-    method, found = on_gaussians_and_sure(run)
+    method, found = gaussians_with_confidence(run)
     return _write(confidence_picture(method, found, camera).image.numpy().transpose(1, 2, 0), out)
 
 
 def write_confidence_around(run: Run, at: tuple[float, float, float], width: int, out: Path) -> list[Path]:
-    """``write_confidence`` in all directions: what ``physhdr render --at`` draws there, pixel by pixel.
+    """``write_confidence`` in all directions, for each pixel of the panorama of ``physhdr render --at``.
 
-    0 where nothing was ever seen, which the panorama fills. Raises as ``check_position`` and ``check_width``.
+    0 where the panorama fills what was never seen. Raises as ``check_position`` and ``check_width``.
     """
     check_position(at, "--at")
     check_width(width)
-    method, found = on_gaussians_and_sure(run)
+    method, found = gaussians_with_confidence(run)
     sure = torch.from_numpy(found)[:, None].expand(-1, 3).contiguous()
     near = near_distance(method.gaussians.positions.detach().numpy(), np.asarray(at))
 
@@ -69,7 +69,7 @@ def write_confidence_around(run: Run, at: tuple[float, float, float], width: int
         splats = method.backbone.splats(camera, method.active_sh_degree)
         shape = (splats.means, splats.quaternions, splats.scales, splats.opacities)
         parts, _ = LitSplats(*shape, sure[None]).beyond(at, near).drawn(camera, "auto")
-        # All of it counts as covered: confidence 0 is an answer, no hole to be filled.
+        # All of it counts as covered: confidence 0 is a value, not a hole to fill.
         return parts, torch.ones_like(parts[0, 0])
 
     with torch.no_grad():
@@ -77,9 +77,9 @@ def write_confidence_around(run: Run, at: tuple[float, float, float], width: int
 
 
 def _write(picture: np.ndarray, out: Path) -> list[Path]:
-    """``[H, W, 3]`` as both files."""
+    """Write ``[H, W, 3]`` as both files."""
     paths = [out.with_suffix(".exr"), out.with_suffix(".png")]
-    # No colours: whoever manages them is to leave these numbers alone.
+    # Data, not colours: colour management must not change these numbers.
     write_exr(paths[0], picture, {"physhdr": f"confidence: {MEANING}", "colorInteropID": "data"})
     write_png(paths[1], with_legend(picture[..., 0]))
     return paths
@@ -94,24 +94,24 @@ def with_legend(confidence: np.ndarray) -> np.ndarray:
 
 
 def write_calibration(run: Run, split: str, out: Path) -> Calibration:
-    """Confidence against the true radiance of a split's views; writes ``CALIBRATION_FILES`` into ``out``.
+    """Compare confidence with the true radiance of a split's views; write ``CALIBRATION_FILES`` into ``out``.
 
-    Raises ``BadValueError`` where there are no such views, no truth of them, or too little to compare.
+    Raises ``BadValueError`` where there are no such views, no truth for them, or too few pixels.
     """
     views = run.scene.splits[split]
     if not views or not truth.has_hdr_truth(run.scene.root, split):
         raise BadValueError(
-            f"{run.scene.root} has no true radiance of {VIEWS_OF[split]}, with which confidence is compared",
+            f"{run.scene.root} has no true radiance of {VIEWS_OF[split]} to compare confidence with",
             "Leave out --confidence, or choose the other --split.",
         )
-    method, found = on_gaussians_and_sure(run)
+    method, found = gaussians_with_confidence(run)
     sure, drawn, true = [], [], []
     for view in views:
         confidence = confidence_picture(method, found, view.camera).image[0]
         ours, theirs = method.hdr(view.camera), truth.hdr_truth(run.scene.root, split, view.index)
         if ours.shape != theirs.shape:
             raise BadValueError(
-                f"the true radiance of {view.name} is not of the size that was trained",
+                f"the true radiance of {view.name} is not of the training size",
                 "Train without --downscale to compare confidence with it.",
             )
         mask = compared_everywhere(view)
@@ -125,8 +125,8 @@ def write_calibration(run: Run, split: str, out: Path) -> Calibration:
             "Leave out --confidence, or mask less.",
         )
     table = calibration(np.concatenate(sure), log_error(drawn, true))
-    told = {"split": split, **table.described()}
-    texts = (json.dumps(told, indent=1, allow_nan=False) + "\n", table.markdown())
+    content = {"split": split, **table.described()}
+    texts = (json.dumps(content, indent=1, allow_nan=False) + "\n", table.markdown())
     for name, text in zip(CALIBRATION_FILES, texts, strict=True):
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -33,8 +33,8 @@ from ..formats.table import Target, target_of
 from ..project import version
 from ..runs.terminal import console
 from .exporting import BakedLook, Exporting
-from .lighting import levels_asked
-from .told import Told, progress, saying
+from .lighting import requested_levels
+from .output import ShowProgress, printer, progress
 
 if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
     from ..runs.run import Run
@@ -42,9 +42,9 @@ if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
 
 #: EV at which radiance is written: its own value.
 RADIANCE_EV = 0.0
-#: What is lost of colours is told from half a code of 8 bits on.
+#: Colour losses are reported from half an 8-bit code.
 SEEN = 0.5 / 255.0
-#: Version of SPZ, where nobody asks for another.
+#: Default version of SPZ.
 SPZ_VERSION = 3
 
 ColorWords = Literal["srgb", "linear"]
@@ -52,11 +52,11 @@ ColorWords = Literal["srgb", "linear"]
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What was read: exactly one of ``model`` and ``cloud`` is there.
+    """What was read: either ``model`` or ``cloud`` is set.
 
-    ``is_linear``: the cloud's colours are linear values and not sRGB codes. ``up``: which way is up in its
-    axes. ``left_out``: Gaussians that could not be drawn, of a cloud (a model's ``notes`` say it). ``facts``:
-    where it comes from, as a PLY's header tells. ``run``: whose model it is.
+    ``is_linear``: the cloud's colours are linear values, not sRGB codes. ``up``: which way is up in its axes.
+    ``left_out``: unusable Gaussians of a cloud (a model's ``notes`` report them). ``facts``: provenance, as
+    in a PLY's header. ``run``: the run whose model it is.
     """
 
     model: Model | None = None
@@ -71,7 +71,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Look:
-    """At what light, exposure and response a model is written."""
+    """Light, exposure and response at which a model is written."""
 
     exposure_ev: float
     levels: Levels
@@ -80,23 +80,23 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True)
 class FormatOptions:
-    """Of one file in the format of another program, or made of one."""
+    """Formats of other programs, read or written."""
 
-    #: Which way is up in the file; default: as its format has it (SPZ and glTF y, the others z).
+    #: Which way is up in the file; default: its format's convention (SPZ and glTF y, the others z).
     up: Up | None = None
-    #: Which way is up in the source; default: as it says, or as its format has it (others' PLY: colmap).
+    #: Which way is up in the source; default: as it says, or its format's convention (others' PLY: colmap).
     from_up: Up | None = None
-    #: A model's response: learned, or the sRGB curve; default: learned where it has one.
+    #: A model's response: learned, or the sRGB curve; default: learned if it has one.
     tone: Literal["learned", "srgb"] | None = None
-    #: What another program's colours are, where the file does not say; default: srgb.
+    #: Colour space of another program's colours, where the file does not say; default: srgb.
     color_space: ColorWords | None = None
-    #: glTF alone: linear colours (lin_rec709_display), which a viewer blends before the sRGB curve, as we do.
+    #: glTF only: linear colours (lin_rec709_display), which a viewer blends before the sRGB curve, as we do.
     blend_linear: bool = False
-    #: USD alone: another program's display colours stay what they are (srgb_rec709_scene) instead of becoming
-    #: radiance, which does not lead back to them.
+    #: USD only: keep another program's display colours (srgb_rec709_scene) instead of converting them to
+    #: radiance, which cannot be converted back exactly.
     display_colors: bool = False
-    #: Of a model file: the run or data set whose cameras saw what it shows. Display colours are fitted to the
-    #: model's pictures from there, as those of a run always are. docs/other-programs.md
+    #: For a model file: the run or data set whose cameras captured it. Display colours are fitted to the
+    #: model's images from there, as those of a run always are. docs/other-programs.md
     cameras: Path | None = None
     #: Version of SPZ: 3 (default) is read by more programs, 4 is smaller.
     spz_version: Literal[3, 4] | None = None
@@ -104,31 +104,35 @@ class FormatOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(Exporting, BakedLook, FormatOptions):
-    """Gaussians in the format of another program; the second name's suffix decides."""
+    """Write Gaussians in another program's format, which the output's suffix sets."""
 
     def work(self) -> dict[str, Any]:
         target = target_of(self.file)
         self._refuse_what_does_not_fit(target)
-        say = saying(self.json)
+        say = printer(self.json)
         source = read_source(self.source, self.data, self.color_space, say)
         source = replace(source, up=self.from_up or source.up)
         up, clipped = self.up or target.up, ()
         if target.holds == "model":
             source, without = self._with_confidence(source)
-            model, too_bright, told = _as_model(self.source, source)
-            told += without
+            model, too_bright, described = _as_model(self.source, source)
+            described += without
             source = replace(source, left_out=source.left_out + too_bright)
             write_model(self.file, model)
             count = model.count
         else:
             linear = self._wants_linear(target)
             with progress("colours", "step", self.json) as show:
-                cloud, told = self._coloured(source, linear, show)
+                cloud, described = self._coloured(source, linear, show)
             changed = self._changed(source, cloud) if linear else ()
             cloud = turned(cloud, turn_of_up(source.up, up)) if up != source.up else cloud
             cloud = replace(cloud, up=up)
             facts = [f"{PROVENANCE}{key}: {value}" for key, value in source.facts]
-            clipped = (*changed, *self._limited(source, linear), *self._write(target, cloud, [*facts, told]))
+            clipped = (
+                *changed,
+                *self._limited(source, linear),
+                *self._write(target, cloud, [*facts, described]),
+            )
             count = cloud.count
         left_out = [left_out_note(source.left_out)] if source.left_out else []
         notes = [*left_out, *source.notes, *clipped]
@@ -136,8 +140,8 @@ class Convert(Exporting, BakedLook, FormatOptions):
         for note in notes:
             say(note)
         axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
-        say(f"wrote {self.file}: {count} Gaussians, {told}{axes}{lost}")
-        return {"out": str(self.file), "gaussians": count, "up": up, "told": told, "notes": notes}
+        say(f"wrote {self.file}: {count} Gaussians, {described}{axes}{lost}")
+        return {"out": str(self.file), "gaussians": count, "up": up, "told": described, "notes": notes}
 
     @property
     def file(self) -> Path:
@@ -146,8 +150,7 @@ class Convert(Exporting, BakedLook, FormatOptions):
         return self.out
 
     def _with_confidence(self, source: Source) -> tuple[Source, str]:
-        """A run's model as ``physhdr export`` writes it, and what is said of it where nothing tells its
-        confidence; anything else as it is."""
+        """A run's model with its confidence, and a note if that is unknown; other sources unchanged."""
         if source.run is None:
             return source, ""
         from .run_files import NO_CONFIDENCE
@@ -167,16 +170,18 @@ class Convert(Exporting, BakedLook, FormatOptions):
             raise BadValueError(f"--exposure-ev is {self.exposure_ev}", f"Give −{EV_MAX:g} to {EV_MAX:g}.")
         if self.blend_linear and (target.name != "glTF" or self.tone == "learned"):
             raise BadValueError(
-                "--blend-linear is of glTF, which then ends in the sRGB curve",
+                "--blend-linear only works with glTF and the sRGB curve",
                 "Leave it out, or write .glb with --tone srgb.",
             )
         if self.display_colors and target.name != "USD":
-            raise BadValueError(f"--display-colors is of USD, and {self.file.name} is none", "Leave it out.")
+            raise BadValueError(
+                f"--display-colors only works with USD, not {self.file.name}", "Leave it out."
+            )
         if self.spz_version is not None and target.name != "SPZ":
-            raise BadValueError(f"--spz-version is of SPZ, and {self.file.name} is none", "Leave it out.")
+            raise BadValueError(f"--spz-version only works with SPZ, not {self.file.name}", "Leave it out.")
         if (self.cameras is not None or self.quick) and (target.holds != "display" or self.blend_linear):
             raise BadValueError(
-                f"--{'quick' if self.quick else 'cameras'} is of display colours: {self.file.name} has none",
+                f"--{'quick' if self.quick else 'cameras'} needs display colours: {self.file.name} has none",
                 "Leave it out.",
             )
         if self.cameras is not None and self.quick:
@@ -186,37 +191,34 @@ class Convert(Exporting, BakedLook, FormatOptions):
                 "a model keeps all of its light and exposures", "Leave out lighting, exposure and tone."
             )
         if target.holds == "radiance" and self.tone is not None:
-            raise BadValueError("USD holds radiance, before any response", "Leave --tone out.")
+            raise BadValueError("USD stores radiance, without any response", "Leave --tone out.")
 
     def _wants_linear(self, target: Target) -> bool:
-        """Whether linear colours are written, and not such as a screen shows."""
+        """Whether linear colours are written, rather than display colours."""
         return self.blend_linear or (target.holds == "radiance" and not self.display_colors)
 
     def _asks_for_light(self) -> bool:
         return self.lighting_level != 1.0 or bool(self.lighting_levels)
 
-    def _coloured(self, source: Source, linear: bool, show: Told) -> tuple[SplatCloud, str]:
-        """The source's Gaussians with colours for the file, linear or display-referred, and what they are."""
+    def _coloured(self, source: Source, linear: bool, show: ShowProgress) -> tuple[SplatCloud, str]:
+        """The source's Gaussians with linear or display-referred colours for the file, and a description."""
         if source.model is not None:
             if self.display_colors:
-                raise BadValueError(f"{self.source} has radiance itself", "Leave --display-colors out.")
+                raise BadValueError(f"{self.source} has radiance already", "Leave --display-colors out.")
             return self._of_model(source, source.model, linear, show)
         assert source.cloud is not None
-        if self.cameras is not None:
-            raise BadValueError(
-                f"{self.source} has colours of its own, which nothing is fitted to", "Leave --cameras out."
-            )
-        if self.quick:
-            raise BadValueError(
-                f"{self.source} has colours of its own, which nothing is fitted to", "Leave --quick out."
-            )
+        for option, changed in (("cameras", self.cameras is not None), ("quick", self.quick)):
+            if changed:
+                raise BadValueError(
+                    f"{self.source} has its own colours, which are not fitted", f"Leave --{option} out."
+                )
         if self._asks_for_light():
-            raise BadValueError(f"{self.source} has no light to be changed", "Leave the lighting out.")
+            raise BadValueError(f"{self.source} has no light that could change", "Leave the lighting out.")
         if self.tone == "learned":
             raise BadValueError(f"{self.source} has no learned response", "Leave --tone out.")
         if self.tone is not None and not source.is_linear and not linear:
             raise BadValueError(
-                f"{self.source} has colours that are developed already: no --tone changes them",
+                f"{self.source} has display colours, which --tone does not change",
                 "Leave it out.",
             )
         cloud, sh = source.cloud, source.cloud.colour_sh
@@ -226,45 +228,45 @@ class Convert(Exporting, BakedLook, FormatOptions):
                 ev = RADIANCE_EV if ev is None else ev
                 return replace(cloud, colour_sh=exposed(sh, 2.0**ev)), f"its linear colours at EV {ev:g}"
             ev = 0.0 if ev is None else ev
-            told = f"display-referred colour through {TONE_WORDS['SRGB']}, EV {ev:g}"
-            return replace(cloud, colour_sh=display_of_linear(sh, 2.0**ev)), told
+            described = f"display-referred colour through {TONE_WORDS['SRGB']}, EV {ev:g}"
+            return replace(cloud, colour_sh=display_of_linear(sh, 2.0**ev)), described
         if ev is not None and not linear:
             raise BadValueError(
-                f"{self.source} has colours that are developed already: no exposure changes them",
-                "Leave --exposure-ev out, or say --color-space linear.",
+                f"{self.source} has display colours, which exposure does not change",
+                "Leave --exposure-ev out, or give --color-space linear.",
             )
         if not linear:
             return cloud, "its own colours"
-        told = f"its colours linearised as sRGB, EV {ev or 0.0:g}"
-        return replace(cloud, colour_sh=exposed(linear_of_display(sh), 2.0 ** (ev or 0.0))), told
+        described = f"its colours linearised as sRGB, EV {ev or 0.0:g}"
+        return replace(cloud, colour_sh=exposed(linear_of_display(sh), 2.0 ** (ev or 0.0))), described
 
     def _changed(self, source: Source, linear: SplatCloud) -> tuple[str, ...]:
-        """A sentence where display colours became linear ones that do not lead back to them."""
+        """A note where converting display colours to linear ones loses accuracy."""
         if source.cloud is None or source.is_linear:
             return ()
         sh = exposed(linear.colour_sh, 2.0 ** -(self.exposure_ev or 0.0))
         lost = lost_by_decoding(source.cloud.colour_sh, sh)
         if lost < SEEN:
             return ()
-        instead = "Leave --blend-linear out" if self.blend_linear else "Say --display-colors"
+        instead = "Leave --blend-linear out" if self.blend_linear else "Give --display-colors"
         return (
-            "Its display colours became linear ones, fitted anew to each Gaussian's directions: back on a "
-            f"screen they differ by {lost:.3f} (root mean square, white is 1). {instead} to keep them.",
+            "Its display colours were converted to linear ones, refitted over each Gaussian's directions: "
+            f"displayed, they differ by {lost:.3f} (root mean square, white is 1). {instead} to keep them.",
         )
 
     def _levels(self, source: Source, model: Model, linear: bool) -> tuple[float, ...]:
-        """The level of each light that is written: as far as the model knows it, but as it is asked for where
-        colours are fitted to the run's own pictures."""
-        asked = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
+        """The level of each light that is written: the requested one where colours are fitted to images of
+        the run itself, else limited to the levels that the model knows."""
+        asked = requested_levels(self.lighting_level, self.lighting_levels, model.lights)
         of_pictures = source.run is not None and not (linear or self.quick) and self._tone(model) == "LEARNED"
         return asked if of_pictures else model.known_levels(asked)
 
     def _limited(self, source: Source, linear: bool) -> tuple[str, ...]:
-        """A sentence where a model does not know its light at the level that is asked for."""
+        """A note where a model does not know its light at the requested level."""
         model = source.model
         if model is None or not model.levels:
             return ()
-        asked = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
+        asked = requested_levels(self.lighting_level, self.lighting_levels, model.lights)
         levels = self._levels(source, model, linear)
         if levels == asked:
             return ()
@@ -274,24 +276,26 @@ class Convert(Exporting, BakedLook, FormatOptions):
     def _tone(self, model: Model) -> Tone:
         return "SRGB" if self.tone == "srgb" or model.tone_curve is None else "LEARNED"
 
-    def _of_model(self, source: Source, model: Model, linear: bool, show: Told) -> tuple[SplatCloud, str]:
+    def _of_model(
+        self, source: Source, model: Model, linear: bool, show: ShowProgress
+    ) -> tuple[SplatCloud, str]:
         levels = self._levels(source, model, linear)
         ev = self.exposure_ev
         if linear:
             ev = (model.developed_ev if self.blend_linear else RADIANCE_EV) if ev is None else ev
-            told = f"scene-linear radiance × 2^EV, {look_words(ev, levels, model.lights)}"
-            return _cloud_of(model, radiance_sh(model, 2.0**ev, levels)), told
+            described = f"scene-linear radiance × 2^EV, {look_words(ev, levels, model.lights)}"
+            return _cloud_of(model, radiance_sh(model, 2.0**ev, levels)), described
         tone = self._tone(model)
         look = Look(model.developed_ev if ev is None else ev, levels, tone)
-        told = look_comment(look.exposure_ev, levels, tone, model.lights)
+        comment = look_comment(look.exposure_ev, levels, tone, model.lights)
         colours = developed(model, look)
         cameras = [] if self.quick else self._cameras(source)
         if not cameras:
-            return _cloud_of(model, colours), f"{told}, each Gaussian by itself"
-        return _cloud_of(model, fitted(source, colours, look, cameras, show)), f"{told}, {FITTED_COMMENT}"
+            return _cloud_of(model, colours), f"{comment}, each Gaussian by itself"
+        return _cloud_of(model, fitted(source, colours, look, cameras, show)), f"{comment}, {FITTED_COMMENT}"
 
     def _cameras(self, source: Source) -> "list[Camera]":
-        """From where a model is seen; none where nobody says."""
+        """The cameras to fit colours from; none where unknown."""
         if source.run is not None:
             if self.cameras is not None:
                 raise BadValueError("a run has its own cameras", "Leave --cameras out.")
@@ -303,7 +307,7 @@ class Convert(Exporting, BakedLook, FormatOptions):
         return training_cameras(self.cameras)
 
     def _write(self, target: Target, cloud: SplatCloud, comments: Sequence[str]) -> tuple[str, ...]:
-        """Write it; sentences for the user about what the format did not hold."""
+        """Write the file; returns notes on what the format could not store."""
         if target.name == "PLY":
             arrays = (cloud.position, cloud.rotation, cloud.scale, cloud.opacity, cloud.colour_sh)
             write_standard_ply(self.file, *arrays, comments=comments, up=cloud.up)
@@ -323,7 +327,7 @@ class Convert(Exporting, BakedLook, FormatOptions):
 
 
 def developed(model: Model, look: Look) -> np.ndarray:
-    """``[N, K, 3]``: SH of the display colours (colour = Σ sh·Y + ½) of a model's look, each by itself.
+    """``[N, K, 3]``: SH of the display colours (colour = Σ sh·Y + ½) of a model's look, not fitted.
 
     Raises what ``display_colour_sh`` raises.
     """
@@ -331,9 +335,9 @@ def developed(model: Model, look: Look) -> np.ndarray:
 
 
 def fitted(
-    source: Source, colours: np.ndarray, look: Look, cameras: "Sequence[Camera]", show: Told
+    source: Source, colours: np.ndarray, look: Look, cameras: "Sequence[Camera]", show: ShowProgress
 ) -> np.ndarray:
-    """``colours`` of ``developed`` fitted so that their blend is the picture of the model, or of the run."""
+    """``colours`` of ``developed``, fitted so that they blend to the image of the model, or of the run."""
     from ..export.fitted_bake import fitted_colour_sh, method_picture, model_picture
 
     assert source.model is not None
@@ -351,11 +355,11 @@ def read_source(
     color_space: ColorWords | None = None,
     say: Callable[[str], None] = console.print,
 ) -> Source:
-    """Read a run's folder, or a file of Gaussians of any format that is known.
+    """Read a run's folder, or a file of Gaussians in any known format.
 
-    ``data``: the run's data set, where that has moved; ``color_space``: what colours are, of a file that does
-    not say (sRGB where nobody says); ``say`` is told what is noticed about a run. Raises what reading raises,
-    and ``BadValueError`` where no Gaussian is usable, or where ``data`` or ``color_space`` is of no use.
+    ``data``: the run's data set, if it moved; ``color_space``: of a file that does not say (default sRGB);
+    ``say`` is called with remarks about a run. Raises what reading raises, and ``BadValueError`` where no
+    Gaussian is usable, or ``data`` or ``color_space`` would have no effect.
     """
     if path.is_dir() and (path / CONFIG_FILE).exists():
         _refuse_color_space(path, color_space)
@@ -398,10 +402,10 @@ def read_source(
 
 
 def _refuse_color_space(path: Path, color_space: ColorWords | None) -> None:
-    """Raises ``BadValueError`` where a color space was given to what is no choice."""
+    """Raises ``BadValueError`` where a colour space was given for a file that states its own."""
     if color_space is not None:
         raise BadValueError(
-            f"--color-space is of PLY and others that do not say what their colours are: {path} is none",
+            f"--color-space only works with PLY and others that do not state it: {path} does",
             "Leave it out.",
         )
 
@@ -419,14 +423,14 @@ def _of_cloud(path: Path, cloud: SplatCloud, is_linear: bool) -> Source:
 
 
 def _as_model(path: Path, source: Source) -> tuple[Model, int, str]:
-    """The source as a model in Blender's world, how many Gaussians are too bright for one, and what it is."""
+    """The source as a model in Blender's world, how many Gaussians were too bright, and its description."""
     if source.model is not None:
         return upright(source.model, source.up), 0, "the model"
     assert source.cloud is not None
     turn = turn_of_up(source.up, "z")
     read = model_of_cloud(path, turned(source.cloud, turn), "LINEAR" if source.is_linear else "SRGB")
-    told = "its linear colours as radiance" if source.is_linear else "its colours linearised as sRGB"
-    return read.model, read.left_out, f"{told}; nothing is known of its light"
+    described = "its linear colours as radiance" if source.is_linear else "its colours linearised as sRGB"
+    return read.model, read.left_out, f"{described}; its light is unknown"
 
 
 def _cloud_of(model: Model, colour_sh: np.ndarray) -> SplatCloud:

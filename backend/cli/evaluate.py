@@ -28,53 +28,53 @@ from ..runs.run import Run, open_run
 from ..scene import Scene, read_scene
 from ..scene.pictures import write_png
 from .confidence import write_calibration
-from .told import Say, answered, progress, saying
+from .output import Say, printer, progress, run_and_report
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """LDR-OE, LDR-NE, HDR and relighting against the truth: tables, files and a comparison sheet.
+    """Compare LDR-OE, LDR-NE, HDR and relighting with the truth: tables, files and a comparison sheet.
 
-    Of a run, or of pictures that any other program made (--pictures; lab/compare.md).
+    Evaluates a run, or pictures made by any other program (--pictures; lab/compare.md).
     """
 
     #: Folder of the run.
     folder: tyro.conf.Positional[Path | None] = None
-    #: Instead of a run: a folder of pictures of every view, called as those of the data set (--data).
+    #: Instead of a run: a folder of pictures of every view, named like those of the data set (--data).
     pictures: Path | None = None
-    #: The views: test, or val: the validation views, on which choices are made.
+    #: Which views: test, or val, the validation views, on which choices are made.
     split: Literal["test", "val"] = "test"
-    #: Folder for the results; default: the run's own, or that of the pictures.
+    #: Folder for the results; default: that of the run or of the pictures.
     out: Path | None = None
-    #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); without: skipped.
+    #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); default: skip LPIPS.
     lpips_weights: Path | None = None
-    #: Of a run: its confidence against the true radiance as well (docs/light.md#confidence).
+    #: Also compare a run's confidence with the true radiance (docs/light.md#confidence).
     confidence: bool = False
-    #: Folders of other runs on the same data, evaluated before: one table and one sheet of all of them.
+    #: Folders of other evaluated runs on the same data, for one table and one sheet of all of them.
     against: tuple[Path, ...] = ()
-    #: The data set: of a run, where it has moved since training; of --pictures always.
+    #: The data set: required with --pictures; of a run if it has moved since training.
     data: Path | None = None
-    #: Of --pictures: how exposures were chosen in training, which the report tells.
+    #: With --pictures: how exposures were chosen in training, for the report.
     exposure_mode: Literal["exp1", "exp3"] | None = None
-    #: Of --pictures: how much smaller the data set's pictures are taken; default: as its layout has it.
+    #: With --pictures: the factor by which the data set's pictures are reduced; default: its layout's.
     downscale: float | None = None
-    #: Of --pictures: the colour space of a data set of radiance; default: as its files say.
+    #: With --pictures: the colour space of a data set of radiance; default: as its files say.
     color_space: str | None = None
     rasteriser: Implementation = "auto"
     device: DeviceName = "auto"
-    #: Say how far it is, and the result or the error, as JSON, an object a line.
+    #: Write progress and the result or error as JSON, one object per line.
     json: bool = False
 
     def run(self) -> int:
-        return answered(self._work, self.json)
+        return run_and_report(self._work, self.json)
 
     def _work(self) -> dict[str, Any]:
-        say = saying(self.json)
+        say = printer(self.json)
         subject = self._subject(say)
         out = writable_folder(self.out or subject.folder)
         lpips = lpips_from(self.lpips_weights)
         for folder in self.against:
-            load_evaluation(folder)  # what cannot be compared with is said before minutes are spent
+            load_evaluation(folder)  # fail now rather than minutes later
         with progress("evaluate", "picture", self.json) as show:
             evaluation = evaluate(
                 subject.renderer,
@@ -91,12 +91,12 @@ class Evaluate:
                 self._write(subject, evaluation, unfinished, say)
                 names = sorted(path.name for path in unfinished.iterdir())
         finally:
-            say(to_terminal(evaluation))  # also where they cannot be written: the numbers took long
+            say(to_terminal(evaluation))  # even if writing fails, because the numbers took long
         say("wrote " + ", ".join(str(out / name) for name in names))
         return {"folder": str(out), "split": self.split}
 
     def _write(self, subject: "_Subject", evaluation: Evaluation, out: Path, say: Say) -> None:
-        """All files of the evaluation, into ``out``."""
+        """Write all files of the evaluation into ``out``."""
         write_report(evaluation, out)
         name = "ours" if self.folder else subject.names[0]
         picture = comparison_sheet(
@@ -109,7 +109,7 @@ class Evaluate:
             **subject.parts,
         )
         write_png(out / SHEET_FILE, picture)
-        _draw_response(subject, out / RESPONSE_FILE, self.split, say)
+        _plot_response(subject, out / RESPONSE_FILE, self.split, say)
         if self.confidence:
             assert subject.run is not None  # pictures have none: _subject refused
             table = write_calibration(subject.run, self.split, out)
@@ -125,26 +125,26 @@ class Evaluate:
     def _subject(self, say: Say) -> "_Subject":
         if (self.folder is None) == (self.pictures is None):
             raise BadValueError(
-                "one of the two is wanted: the folder of a run, or --pictures",
+                "give either the folder of a run or --pictures",
                 "Call: physhdr evaluate RUN, or: physhdr evaluate --pictures FOLDER --data DATA",
             )
         if self.folder is not None:
             options = ("exposure_mode", "downscale", "color_space")
-            if given := [name for name in options if getattr(self, name) is not None]:
+            if changed := [name for name in options if getattr(self, name) is not None]:
                 raise BadValueError(
-                    f"--{given[0].replace('_', '-')} only works with --pictures: a run knows its own",
+                    f"--{changed[0].replace('_', '-')} only works with --pictures: a run stores its own",
                     "Leave it out.",
                 )
             return _of_run(self._open(self.folder, say))
         assert self.pictures is not None
         if self.confidence:
-            raise BadValueError("pictures have no confidence: a run's Gaussians have", "Leave it out.")
+            raise BadValueError("--confidence only works with a run: pictures have none", "Leave it out.")
         if self.data is None:
-            raise BadValueError("--pictures needs the data set that they are of", "Name it: --data DATA")
+            raise BadValueError("--pictures needs the data set they show", "Give it: --data DATA")
         if self.out is None and resolved(self.pictures) == resolved(self.data):
             raise BadValueError(
                 f"{self.pictures} is the data set itself, where no results are written",
-                "Name a folder for them: --out FOLDER",
+                "Give a folder for them: --out FOLDER",
             )
         scene = read_scene(self.data, self.downscale, self.color_space)
         return _of_pictures(PictureFolder(self.pictures, scene, self.split), scene, self.exposure_mode)
@@ -152,10 +152,10 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is evaluated. ``names``: what a table may call it, the shortest first; the last is its alone.
+    """A run or pictures to evaluate. ``names``: for tables, the shortest first; the last is unique.
 
-    ``training``: what ``evaluate`` is told of that; ``parts``: what it and the sheet are told is there.
-    ``run``: where it is one.
+    ``training``: arguments of ``evaluate`` about training; ``parts``: arguments of it and of the sheet about
+    what exists. ``run``: None for pictures.
     """
 
     folder: Path
@@ -188,15 +188,15 @@ def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | Non
     return _Subject(pictures.folder, names, scene, pictures, exposure_mode or "unknown", parts=parts)
 
 
-def _draw_response(subject: _Subject, path: Path, split: str, say: Say) -> None:
-    """The figure, where there is a response curve and a package to draw it."""
+def _plot_response(subject: _Subject, path: Path, split: str, say: Say) -> None:
+    """Plot the response curve, if there is one and the package is installed."""
     learned = learned_response(subject.renderer)
     if learned is None:
         return
     try:
         write_response_figure(path, learned, subject.scene, split)
     except PackageMissingError as error:
-        say(Text(f"{path.name} left out: {error}", style="yellow"))
+        say(Text(f"skipping {path.name}: {error}", style="yellow"))
 
 
 def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: Say) -> None:
@@ -208,7 +208,7 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: 
         if resolved(subject.scene.root) != resolved(scene.root):
             raise BadValueError(
                 f"{subject.folder} was trained on {subject.scene.root}, not on {scene.root}",
-                "Compare runs on one data set, or give --data where it has moved.",
+                "Compare runs on one data set, or give --data if it has moved.",
             )
         evaluation = load_evaluation(folder)
         entries.append(ComparedRun(name, scene.name, subject.setting, subject.seed, evaluation))
@@ -244,8 +244,8 @@ def _falloff(subject: _Subject, split: str, evaluation: dict[str, Any]) -> Fallo
 
 
 def _names(subjects: list[_Subject]) -> list[str]:
-    """Each run's preset, or where two are alike the folder's name, or where these are alike the folder."""
+    """Each run's preset, or its folder's name where presets repeat, or its whole path where names repeat."""
     for names in zip(*(subject.names for subject in subjects), strict=True):
         if len(set(names)) == len(subjects):
             return list(names)
-    raise BadValueError("a run is compared with itself", "Give each folder once.")
+    raise BadValueError("a run cannot be compared with itself", "Give each folder once.")

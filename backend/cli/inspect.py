@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr inspect``: what is in a data set, and what is wrong with it."""
+"""``physhdr inspect``: reports what a data set contains, and its faults."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -25,40 +25,40 @@ from ..inspect.findings import (
 )
 from ..runs.terminal import console
 from ..scene.hdr_nerf_syn import OURS
-from .told import answered, line
+from .output import run_and_report, write_json
 
 #: What an empty cell shows.
 NONE = "–"
-#: So many poses are listed one by one.
+#: Up to this many poses are listed one by one.
 FEW = 6
 USES = {"OE": "training (OE)", "NE": "evaluation (NE)"}
 
 
 @dataclass(frozen=True)
 class Inspect:
-    """What is in a data set: views, exposures, lights, dynamic range, noise; all that is wrong with it."""
+    """Report a data set's views, exposures, lights, dynamic range and noise, and all its faults."""
 
-    #: Folders of data sets; of several there is one line each.
+    #: Folders of data sets; several are listed in one line each.
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    #: How many times smaller pictures would be read; default: as the layout's authors do.
+    #: Reduce pictures by this factor; default: that of the layout's authors.
     downscale: float | None = None
     #: Colour space of pictures that hold radiance, as --color-space of training; default: as each file says.
     color_space: str | None = None
-    #: Say what each folder has, and the result or the error, as JSON, an object a line.
+    #: Write what each folder contains, and the result or error, as JSON, one object per line.
     json: bool = False
 
     def run(self) -> int:
-        return answered(self._work, self.json)
+        return run_and_report(self._work, self.json)
 
     def _work(self) -> dict[str, Any]:
         if not self.folders:
-            raise BadValueError("no data set is given", "For example: physhdr inspect data/demo")
+            raise BadValueError("no data set was given", "For example: physhdr inspect data/demo")
         all_found = []
         for folder in self.folders:
             found = inspect(folder, self.downscale, self.color_space)
             all_found.append(found)
             if self.json:
-                line(found=dataclasses.asdict(found))
+                write_json(found=dataclasses.asdict(found))
         if not self.json:
             if len(all_found) == 1:
                 _show(all_found[0])
@@ -71,7 +71,7 @@ class Inspect:
 
 
 def _complain(all_found: list[Inspection]) -> None:
-    """Raise one error that counts them all and names the first with its remedy."""
+    """Raise one error that counts all faults and names the first with its remedy."""
     faults = [
         (found.folder, *fault)
         for found in all_found
@@ -121,9 +121,9 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
     elif found.splits and found.layout == OURS:
         facts.append(("relit truth", "none"))
     if found.passes:
-        facts.append(("passes", f"of {found.passes} poses: any mixture of the lights can be made from them"))
+        facts.append(("passes", f"for {found.passes} poses: any mix of the lights can be made from them"))
     if found.points is not None:
-        kind = found.points_origin or "their file does not say of what kind"
+        kind = found.points_origin or "of unknown origin"
         facts.append(("points", f"{found.points:,}: {kind}"))
     if found.response or found.camera:
         faults = ", ".join(f"{key} {value:g}" for key, value in found.camera.items() if is_number(value))
@@ -182,7 +182,7 @@ def _exposure_table(exposures: list[Exposure]) -> Table:
 def _show_faults(found: Inspection, prefix: str = "") -> None:
     for warning in found.warnings:
         console.print(Text(f"warning: {prefix}{warning}", style="yellow"), soft_wrap=True)
-    several = len(set(found.remedies)) > 1  # one alone is told at the end, with the first fault
+    several = len(set(found.remedies)) > 1  # a single one is printed at the end, with the first fault
     for k, (error, remedy) in enumerate(zip(found.errors, found.remedies, strict=True)):
         console.print(Text(f"fault: {prefix}{error}", style="red"), soft_wrap=True)
         if several and remedy and remedy not in found.remedies[k + 1 : k + 2]:

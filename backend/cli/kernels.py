@@ -8,7 +8,7 @@ from rich.progress import Progress
 from ..kernels.ahead import Needs, are_cached, compile_ahead
 from ..runs.terminal import aside
 
-#: Shorter than this nothing was compiled, and nothing is said.
+#: In less time than this nothing was compiled, and nothing is printed.
 COMPILED_SECONDS = 5.0
 
 

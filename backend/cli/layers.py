@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A picture in layers for compositing: radiance with alpha, depth, confidence, and what each light causes.
+"""A render in layers for compositing: radiance with alpha, depth, confidence, and each light's contribution.
 
-All colours are scene-linear and premultiplied with alpha, as rasterisers blend them and compositors want
-them. With the levels l that the picture is drawn at, fixed + Σ l · light = radiance, pixel by pixel.
+All colours are scene-linear and premultiplied by alpha, as rasterisers blend them and compositors expect
+them. At the rendered levels l, fixed + Σ l · light = radiance, pixel by pixel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,18 +17,18 @@ from ..methods.base import Method
 from ..scene.camera import Camera
 from ..scene.pictures import write_exr_channels
 
-#: The layer that all passes are in, as Blender calls its first one; and a pass's channels after a further
-#: dot, by which Blender's compositor and oiiotool part them.
+#: The layer of all passes, with the name of Blender's first one. A pass's channels follow another dot, at
+#: which Blender's compositor and oiiotool split names.
 LAYER = "ViewLayer"
-#: The depth where nothing is, metres: Blender's own.
+#: Depth of the background in metres, as in Blender.
 NOTHING = 1e10
-#: Blender cuts names of passes off after so many bytes.
+#: Blender cuts off names of passes after this many bytes.
 LONGEST_PASS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Sure:
-    """Each Gaussian's confidence ``[N]``, and the method on plain Gaussians whose they are."""
+class GaussianConfidence:
+    """Each Gaussian's confidence ``[N]``, and the method on plain Gaussians that they belong to."""
 
     method: Method
     confidence: np.ndarray
@@ -38,10 +38,10 @@ class Sure:
 class Layers:
     """``radiance`` ``[3, H, W]`` premultiplied, ``alpha`` ``[H, W]``.
 
-    ``depth`` ``[H, W]``: metres along the camera's axis, the mean of what covers the pixel, each by its share
-    of alpha; 0 where nothing does. ``fixed``: ``[3, H, W]`` of the radiance that no light turns, and
-    ``lights`` by name what each causes at level 1; None and empty where they are not known apart.
-    ``confidence`` ``[H, W]``, premultiplied; None where it is not known.
+    ``depth`` ``[H, W]``: metres along the camera's axis, the mean of what covers the pixel, weighted by its
+    share of alpha; 0 where nothing does. ``fixed``: ``[3, H, W]`` of the radiance that no light changes, and
+    ``lights``: by name, each one's contribution at level 1; None and empty if they cannot be separated.
+    ``confidence`` ``[H, W]``, premultiplied; None if unknown.
     """
 
     radiance: torch.Tensor
@@ -53,14 +53,14 @@ class Layers:
 
 
 @torch.no_grad()
-def draw_layers(
+def render_layers(
     method: Method,
     camera: Camera,
     levels: tuple[float, ...],
-    sure: Sure | None = None,
+    of_gaussians: GaussianConfidence | None = None,
     scale: float = 1.0,
 ) -> Layers:
-    """What ``camera`` sees at one level a light, its radiance times ``scale``."""
+    """Render what ``camera`` sees at one level per light, its radiance times ``scale``."""
     drawn = method.preview(camera, levels)
     assert drawn.depth is not None, "a preview has it"
     names = method.lights_apart
@@ -70,16 +70,16 @@ def draw_layers(
         parts = parts * scale
         fixed, lights = parts[0], dict(zip(names, parts[1:], strict=True))
     confidence = None
-    if sure is not None:
-        confidence = confidence_picture(sure.method, sure.confidence, camera).image[0]
+    if of_gaussians is not None:
+        confidence = confidence_picture(of_gaussians.method, of_gaussians.confidence, camera).image[0]
     return Layers(drawn.image * scale, drawn.alpha, drawn.depth, fixed, lights, confidence)
 
 
 def write_layers(path: Path, layers: Layers, levels: Sequence[float] = ()) -> None:
     """Write one OpenEXR file of all layers, 32 bits, atomically; raises ``OutputError``.
 
-    Passes: Combined (RGBA), Depth (Z), Fixed and ``Light NAME`` (RGB), Confidence (X). ``levels``: of the
-    lights in the picture, for the header.
+    Passes: Combined (RGBA), Depth (Z), Fixed and ``Light NAME`` (RGB), Confidence (X). ``levels``: the
+    lights' levels, for the header.
     """
     planes = {
         **_rgb("Combined", layers.radiance),
@@ -93,15 +93,15 @@ def write_layers(path: Path, layers: Layers, levels: Sequence[float] = ()) -> No
         planes |= _rgb(passes[name], light)
     if layers.confidence is not None:
         planes[f"{LAYER}.Confidence.X"] = layers.confidence
-    told = zip(layers.lights, levels, strict=False)
-    attributes = {"physhdr:levels": ", ".join(f"{name}={level:g}" for name, level in told)}
+    by_name = zip(layers.lights, levels, strict=False)
+    attributes = {"physhdr:levels": ", ".join(f"{name}={level:g}" for name, level in by_name)}
     write_exr_channels(
         path, {name: plane.detach().cpu().numpy() for name, plane in planes.items()}, attributes
     )
 
 
 def pass_names(lights: Sequence[str]) -> dict[str, str]:
-    """The pass of each light: ``Light lamp``. Dots, which part names in the file, become underscores."""
+    """The pass of each light: ``Light lamp``. Dots, which split names in the file, become underscores."""
     passes: dict[str, str] = {}
     for name in lights:
         wanted = f"Light {name.replace('.', '_')}".encode()[:LONGEST_PASS].decode(errors="ignore")

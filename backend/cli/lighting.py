@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a command line says of the light: ``--lighting-level 0.5``, ``--lighting-levels ambient=4 lamp=2``."""
+"""Options for the light: ``--lighting-level 0.5``, ``--lighting-levels ambient=4 lamp=2``."""
 
 from collections.abc import Sequence
 
@@ -7,12 +7,12 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import as_levels, named_levels
 
 
-def levels_asked(level: float, named: Sequence[str], lights: Sequence[str]) -> tuple[float, ...]:
+def requested_levels(level: float, named: Sequence[str], lights: Sequence[str]) -> tuple[float, ...]:
     """The level of each of ``lights``: ``level`` for the first one, ``named`` (``NAME=VALUE``) by name.
 
-    Those not named are at 1. A light named ``-key`` would be taken for an option: it is given with a space
-    before it, which no name has. Raises ``BadValueError``: no such light (naming those there are), a value
-    that is no level, a light named twice.
+    Others are at 1. A light named ``-key`` would be read as an option: put a space before it, which no name
+    starts with. Raises ``BadValueError`` for an unknown light (listing the known ones), an invalid level, or
+    a light named twice.
     """
     as_levels(level, lights)
     found: dict[str, float] = {} if level == 1.0 else {lights[0]: level}
@@ -25,11 +25,11 @@ def levels_asked(level: float, named: Sequence[str], lights: Sequence[str]) -> t
             number = float(value)
         except ValueError:
             raise BadValueError(
-                f"--lighting-levels: '{text}' is not NAME=VALUE", f"Names are: {', '.join(lights)}."
+                f"--lighting-levels: '{text}' is not NAME=VALUE", f"The lights are: {', '.join(lights)}."
             ) from None
         if name in found:
             raise BadValueError(
-                f"--lighting-levels: {name} has a level twice", f"--lighting-level is that of {lights[0]}."
+                f"--lighting-levels: {name} is given twice", f"--lighting-level is that of {lights[0]}."
             )
         found[name] = number
     return named_levels(found, lights, "--lighting-levels")

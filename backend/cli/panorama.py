@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr render --at``: the light at a place in a trained model, as panoramas that light a scene."""
+"""``physhdr render --at``: panoramas of the light at a place in a trained model, for lighting a scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,34 +25,34 @@ from ..rasterize import Implementation
 from ..runs.run import open_run
 from ..scene import Camera
 from ..scene.pictures import write_exr
-from .given import given_of
+from .options import changed_options
+from .output import printer, write_json
 from .rendering import Rendering
-from .told import line, saying
 
-#: What is told of a model that cannot tell its lights apart.
-NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and levels do not change it"
+#: Printed for a model that cannot separate its lights.
+NO_LIGHTS = "its lights cannot be separated: fixed.exr is all of its light, and levels do not change it"
 
-#: A place, and a panorama's rows, are in the file's own axes, as Blender has them when it imports the file.
+#: A place, and a panorama's rows, are in the file's own axes, as in Blender when it imports the file.
 OTHER_AXES = (
-    "{} has {}: --at and the panorama are in these axes, not upright. To have +Z up, make a model of it "
+    "{} has {}: --at and the panorama are in these axes, not upright. To have +Z up, convert it to a model "
     "first: physhdr export IN OUT.safetensors"
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """What is seen from a place in all directions: a folder with fixed.exr and an .exr for each light
+    """The light from all directions at a place: a folder with fixed.exr and an .exr per light
     (equirectangular, scene-linear, 32 bits), which add up to the light at any levels, and probe.json."""
 
-    #: The place: X Y Z in metres, in the model's space. Several: give --at and --out several times.
+    #: The place: X Y Z in metres, in the model's space. For several places, repeat --at and --out.
     at: Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction] = ()
-    #: Metres: Gaussians nearer than this are left out. Default: a fiftieth of their median distance.
+    #: Metres: ignore Gaussians nearer than this. Default: a fiftieth of their median distance.
     near: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panorama(Rendering, PlaceOptions):
-    """What a trained model sees from places, in all directions: light probes."""
+    """Render light probes: the light from all directions at places in a trained model."""
 
     def work(self) -> dict[str, Any]:
         with caught(interrupt), torch.no_grad():
@@ -70,37 +70,37 @@ class Panorama(Rendering, PlaceOptions):
         width = WIDTH if self.width is None else self.width
         check_width(width)
         model = self._opened()
-        told, say = [], saying(self.json)
+        results, say = [], printer(self.json)
         for number, (place, folder) in enumerate(zip(self.at, self.out, strict=True)):
 
             def report(done: float, number: int = number, folder: Path = folder) -> None:
                 if self.json:
-                    line(progress=(number + done) / len(self.at), message=folder.name)
+                    write_json(progress=(number + done) / len(self.at), message=folder.name)
 
             probe = self._probe(model, place, width, folder, report)
-            told.append({"folder": str(folder), "unseen": probe.unseen})
+            results.append({"folder": str(folder), "unseen": probe.unseen})
             say(
                 f"wrote {folder}: {', '.join(probe.files)}; {probe.unseen:.1%} of the sphere was never "
-                f"seen and is filled from its rim; {probe.left_out} Gaussians within {probe.near:.3g} m, "
-                "or around the place, were left out"
+                f"seen and is filled from its rim; ignored {probe.left_out} Gaussians within "
+                f"{probe.near:.3g} m or around the place"
             )
             if not probe.lights:
                 say(NO_LIGHTS)
-        return told
+        return results
 
     def _opened(self) -> "_OfModel | _OfMethod":
         if self.source.is_dir():
             run = open_run(
-                self.source, self.data, self.rasteriser, self.device, saying(self.json), pictures=False
+                self.source, self.data, self.rasteriser, self.device, printer(self.json), pictures=False
             )
             return _OfMethod(run.method, run.radiance_scale)
-        if given := given_of(self, "data", "device"):
+        if changed := changed_options(self, "data", "device"):
             raise BadValueError(
-                f"--{given[0]} only applies to a run, and {self.source} is not a folder", "Leave it out."
+                f"--{changed[0]} only applies to a run, and {self.source} is not a folder", "Leave it out."
             )
         if self.source.suffix.lower() != ".ply":
             return _OfModel(read_model(self.source), self.rasteriser)
-        read, say = read_ply_model(self.source), saying(self.json)
+        read, say = read_ply_model(self.source), printer(self.json)
         for note in read.notes:
             say(note)
         if read.up != "z":
@@ -137,7 +137,7 @@ class Panorama(Rendering, PlaceOptions):
 
 
 class _OfModel:
-    """A model file's light. ``left_out``: Gaussians too near to the place that was drawn last."""
+    """A model file's light. ``left_out``: Gaussians too near to the last rendered place."""
 
     drawn_width = SPLATS_WIDTH
 
@@ -149,13 +149,13 @@ class _OfModel:
 
     def draw(self, place: Sequence[float], near: float) -> Draw:
         splats = lit_model(self._model, place)
-        kept = splats.beyond(place, near)
-        self.left_out = len(splats.means) - len(kept.means)
-        return lambda camera: kept.drawn(camera, self._implementation)
+        beyond = splats.beyond(place, near)
+        self.left_out = len(splats.means) - len(beyond.means)
+        return lambda camera: beyond.drawn(camera, self._implementation)
 
 
 class _OfMethod:
-    """A trained method's light times ``scale``. Its splats may be others for every picture."""
+    """A trained method's light times ``scale``. Its splats may differ for every image."""
 
     def __init__(self, method: Method, scale: float) -> None:
         self._method, self._scale, self.left_out = method, scale, 0

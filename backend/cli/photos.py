@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr prepare`` of photos: from their folder to a data set that can be trained on."""
+"""``physhdr prepare`` for photos: turns a folder of photos into a data set for training."""
 
 import dataclasses
 import math
@@ -40,35 +40,35 @@ from ..scene.capture.structure import (
 from ..scene.capture.understanding import Understanding, understand
 from ..scene.lens import Lens, lenses_by_size
 from ..shell import as_word
-from .given import given_of
+from .options import changed_options
+from .output import write_json
 from .preparing import Preparing
-from .told import line
 
-#: Of each ISO so many raw files tell the noise, where they do not say it.
+#: Noise is estimated from this many raw files per ISO if the files do not state it.
 NOISE_PHOTOS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoOptions:
-    """Of photos."""
+    """Photos."""
 
-    #: Only say what the photos are, at once, and make nothing.
+    #: Only report what the photos are, and write nothing.
     look: bool = False
     #: Exposures where EXIF has none: JSON or CSV, file name → seconds.
     exposures: Path | None = None
-    #: All photos are of one exposure, whatever EXIF says.
+    #: All photos have the same exposure, whatever EXIF says.
     same_exposure: bool = False
-    #: How photos are grouped into poses: names <pose>_<k>; order of time, with a pattern of exposures that
-    #: repeats; none, each photo is a pose.
+    #: How photos are grouped into poses: names, <pose>_<k>; order of time, with a repeating pattern of
+    #: exposures; none, each photo is a pose.
     group: Grouping = "auto"
-    #: Photos in each pose, where that is not plain.
+    #: Photos per pose, if that is ambiguous.
     bracket: int | None = None
-    #: The brackets were taken without a tripod: each photo has a pose of its own.
+    #: The brackets were taken without a tripod: each photo has its own pose.
     handheld: bool = False
-    #: Hand-held photos that cannot be placed, black or white ones, take their bracket's next one's pose.
+    #: Hand-held photos that cannot be placed (black or white) take the pose of the next in their bracket.
     borrow_poses: bool = False
-    #: Which exposure the cameras are found with: the best exposed, the same for all poses or each pose's own,
-    #: or a step of the bracket, 0 the darkest.
+    #: Exposure used to find the cameras: the best exposed, the same for all poses or each pose's own, or a
+    #: step of the bracket, 0 being the darkest.
     match: Annotated[Choice, tyro.conf.arg(metavar="same|each|INT")] = "same"
     #: Model of the lens.
     camera: Literal[
@@ -76,17 +76,17 @@ class PhotoOptions:
     ] = "OPENCV"
     #: A folder with COLMAP's sparse/0 of these photos, used instead of finding the cameras.
     poses: Path | None = None
-    #: Of so many places about one is kept for the test, between others; 0: none.
+    #: Reserve about one in this many places, lying between others, for testing; 0: none.
     test_every: int = 8
-    #: Make them no wider than this, pixels; 0: no limit.
+    #: Maximum width in pixels; 0: no limit.
     max_width: int = 1600
-    #: Go on where less than half of the poses could be placed.
+    #: Continue even if less than half of the poses could be placed.
     partial: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Photos(PhotoOptions, Preparing):
-    """A data set of photos: exposures, cameras (COLMAP), pictures without distortion."""
+    """Make a data set from photos: exposures, cameras (COLMAP), undistorted pictures."""
 
     downscale: float | None = None
     overwrite: bool = False
@@ -94,7 +94,7 @@ class Photos(PhotoOptions, Preparing):
     json: bool = False
 
     def work(self) -> dict[str, Any]:
-        voice = Lines() if self.json else Terminal()
+        reporter = JsonReporter() if self.json else TerminalReporter()
         self._check()
         understood = understand(
             self.source,
@@ -103,24 +103,26 @@ class Photos(PhotoOptions, Preparing):
             self.group,
             self.bracket,
             self.handheld,
-            lambda done, of: voice.progress(Report(0.0, f"reading headers: {done} of {of}")),
+            lambda done, of: reporter.progress(Report(0.0, f"reading headers: {done} of {of}")),
         )
         for each in understood.lines:
-            voice.say(each)
+            reporter.say(each)
         for each in understood.warnings:
-            voice.warn(each)
+            reporter.warn(each)
         if self.look:
             return understood.described()
         folder = self.folder
         if self.handheld and not understood.is_handheld:
-            voice.warn("there are no brackets that could be hand-held: --handheld changes nothing")
+            reporter.warn("--handheld has no effect: there are no brackets")
         if self.borrow_poses and not self.handheld:
-            voice.warn("--borrow-poses is of hand-held brackets: without --handheld it changes nothing")
+            reporter.warn("--borrow-poses has no effect without --handheld")
         require_pycolmap()
-        catch(interrupt)  # again: glog, which comes with it, took SIGTERM for a crash
-        with new_folder(folder, self.overwrite) as made, voice:
-            result = self._make(understood, made, voice)
-        voice.say(f"next: physhdr inspect {as_word(folder)}, then physhdr train {as_word(folder)} --out RUN")
+        catch(interrupt)  # again, because pycolmap's glog treats SIGTERM as a crash
+        with new_folder(folder, self.overwrite) as made, reporter:
+            result = self._make(understood, made, reporter)
+        reporter.say(
+            f"next: physhdr inspect {as_word(folder)}, then physhdr train {as_word(folder)} --out RUN"
+        )
         return {"folder": str(folder), **result}
 
     @property
@@ -128,7 +130,7 @@ class Photos(PhotoOptions, Preparing):
         return 1.0 if self.downscale is None else self.downscale
 
     def _check(self) -> None:
-        """Raises ``BadValueError`` and ``OutputError`` for what cannot be."""
+        """Raises ``BadValueError`` and ``OutputError`` for impossible options."""
         if not (math.isfinite(self._smaller) and self._smaller >= 1.0) or self.max_width < 0:
             raise BadValueError(
                 f"invalid size: --downscale {self.downscale}, --max-width {self.max_width}",
@@ -136,7 +138,7 @@ class Photos(PhotoOptions, Preparing):
             )
         if self.test_every < 0 or self.test_every == 1:
             raise BadValueError(
-                f"every {self.test_every}-th pose cannot be kept for the test",
+                f"cannot reserve every {self.test_every}-th pose for testing",
                 "Give 2 or more, or 0 for none.",
             )
         whole("--threads", self.threads, -1, THREADS_MAX)
@@ -148,30 +150,30 @@ class Photos(PhotoOptions, Preparing):
             raise OutputError(f"{self.folder} holds the photos", "Give another folder for the data set.")
 
     def _check_together(self) -> None:
-        """Raises ``BadValueError`` for options of which one would say nothing beside the other."""
+        """Raises ``BadValueError`` for options that exclude each other."""
         if self.exposures is not None and self.same_exposure:
             raise BadValueError(
-                "--exposures and --same-exposure say two things of the photos", "Leave one of them out."
+                "--exposures and --same-exposure contradict each other", "Leave one of them out."
             )
         if self.bracket is not None and self.group in ("none", "names"):
             raise BadValueError(
-                f"--bracket {self.bracket} changes nothing about --group {self.group}",
+                f"--bracket {self.bracket} has no effect with --group {self.group}",
                 "Leave one of them out.",
             )
-        if self.poses is not None and (given := given_of(self, "match", "camera")):
+        if self.poses is not None and (changed := changed_options(self, "match", "camera")):
             raise BadValueError(
-                f"--{given[0]} is of how cameras are found, and --poses has them", "Leave one of them out."
+                f"--{changed[0]} is for finding cameras, but --poses provides them", "Leave one of them out."
             )
 
-    def _make(self, understood: Understanding, folder: Path, voice: "Voice") -> dict[str, Any]:
-        """Fill ``folder``, which has room for others beside it; what there is to tell, for programs."""
+    def _make(self, understood: Understanding, folder: Path, reporter: "Reporter") -> dict[str, Any]:
+        """Fill ``folder``, whose parent also takes COLMAP's files; returns the result for programs."""
         expected = understood.seconds(self.max_width)
         if self.poses is not None:
             expected = {"looking": expected["looking"], "writing": expected["writing"]}
-        stages = Stages(expected, voice.progress)
-        understood, qualities = _looked_at(understood, stages, voice)
+        stages = Stages(expected, reporter.progress)
+        understood, qualities = _rated(understood, stages, reporter)
         brackets = understood.brackets
-        structure, words = self._structure(understood, qualities, folder, stages, voice)
+        structure, words = self._structure(understood, qualities, folder, stages, reporter)
         borrowed: dict[int, int] = {}
         if self.borrow_poses and understood.is_handheld:
             structure, borrowed = _borrowed(structure, understood)
@@ -189,7 +191,7 @@ class Photos(PhotoOptions, Preparing):
             "brackets": brackets.how,
             "cameras": words,
             "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras.values()],
-            "up": "turned so that +Z is up; scale and place are structure from motion's own",
+            "up": "rotated so that +Z is up; scale and origin are those of structure from motion",
             "options": {
                 key: _plain(value) for key, value in dataclasses.asdict(self).items() if key != "json"
             },
@@ -209,16 +211,16 @@ class Photos(PhotoOptions, Preparing):
             borrowed,
         )
         sizes = sorted({(lens.width, lens.height) for lens in lenses.values()}, reverse=True)
-        self._report(understood, structure, written, sizes, voice)
+        self._report(understood, structure, written, sizes, reporter)
         if borrowed:
             names = [brackets.poses[k].name for k in borrowed]
-            voice.warn(
-                f"{len(borrowed)} photos took the pose of their bracket's next one: {some_names(names)}"
+            reporter.warn(
+                f"{len(borrowed)} photos took the pose of the next in their bracket: {some_names(names)}"
             )
         if left_out:
-            voice.warn(f"ignoring photos that could not be placed: {some_names(left_out)}")
+            reporter.warn(f"ignoring photos that could not be placed: {some_names(left_out)}")
             if understood.is_handheld and not self.borrow_poses:
-                voice.say("--borrow-poses gives black and white photos the pose of their bracket's next one")
+                reporter.say("--borrow-poses gives such photos the pose of the next in their bracket")
         return {
             "train": written.train,
             "test": written.test,
@@ -226,17 +228,17 @@ class Photos(PhotoOptions, Preparing):
             "places": understood.places,
             "points": written.points,
             "reprojection_error": round(written.reprojection_error, 3),
-            "lines": voice.lines,
-            "warnings": voice.warnings,
+            "lines": reporter.lines,
+            "warnings": reporter.warnings,
         }
 
     def _lenses(self, structure: Structure) -> dict[int, Lens]:
-        """A pinhole camera for each of the structure's, whose pictures are as small as is asked for."""
+        """A pinhole camera for each of the structure's, at the requested size."""
         widest = max(camera.width for camera in structure.cameras.values())
         limit = self.max_width / widest if self.max_width else 1.0
         scale = min(1.0 / self._smaller, limit, 1.0)
         lenses = lenses_by_size(structure.cameras, scale)
-        # Without a barrel's distortion pictures are wider than the photos were.
+        # Undistorting a barrel makes pictures wider than the photos.
         widest = max(lens.width for lens in lenses.values())
         if 0 < self.max_width < widest:
             return lenses_by_size(structure.cameras, scale * self.max_width / widest)
@@ -248,14 +250,14 @@ class Photos(PhotoOptions, Preparing):
         qualities: dict[str, Quality],
         folder: Path,
         stages: Stages,
-        voice: "Voice",
+        reporter: "Reporter",
     ) -> tuple[Structure, str]:
-        """The cameras, and in words where they are from."""
+        """The cameras, and a description of their origin."""
         poses = understood.brackets.poses
         if self.poses is not None:
             return existing(self.poses, poses), f"the reconstruction in {self.poses}"
         to_match, which = photos_to_match(poses, self.match, qualities)
-        voice.say(f"the cameras are found with {which}")
+        reporter.say(f"finding the cameras with {which}")
         work = folder.parent / "colmap"
         work.mkdir()
         stage_of = {"reading photos": "copying", "features": "features", "matching": "matching"}
@@ -278,33 +280,33 @@ class Photos(PhotoOptions, Preparing):
         structure: Structure,
         written: Written,
         sizes: list[tuple[int, int]],
-        voice: "Voice",
+        reporter: "Reporter",
     ) -> None:
         brackets = understood.brackets
         of = " and ".join(f"{width}×{height}" for width, height in sizes)
         evs = ", ".join(f"{math.log2(seconds):+.1f}" for seconds in understood.steps())
-        voice.say(
+        reporter.say(
             f"wrote {self.folder}: {written.train} poses for training, {written.test} for the "
             f"test; {written.pictures} pictures of {of}"
         )
-        voice.say(
+        reporter.say(
             f"{len(structure.registered)} of {len(brackets.poses)} poses placed, {written.points} points, "
             f"reprojection error {written.reprojection_error:.2f} pixels; exposures EV {evs}"
         )
         for camera in structure.cameras.values():
-            voice.say(f"lens: {camera.model_name} {camera.params_to_string()}")
-        voice.say("the world is turned so that +Z is up; its scale is arbitrary, not metres")
+            reporter.say(f"lens: {camera.model_name} {camera.params_to_string()}")
+        reporter.say("the world was rotated so that +Z is up; its scale is arbitrary, not metres")
 
 
 # ---- the work ----------------------------------------------------------------------------------------
 
 
-def _looked_at(
-    understood: Understanding, stages: Stages, voice: "Voice"
+def _rated(
+    understood: Understanding, stages: Stages, reporter: "Reporter"
 ) -> tuple[Understanding, dict[str, Quality]]:
-    """How well each photo is exposed, by name; photos that cannot be decoded are left out, with a warning.
+    """How well each photo is exposed, by name; ignores photos that cannot be decoded, with a warning.
 
-    Raises ``FileDamagedError`` for a mask that cannot be decoded: COLMAP may take hours from here.
+    Raises ``FileDamagedError`` for a mask that cannot be decoded, before COLMAP may take hours.
     """
     qualities: dict[str, Quality] = {}
     damaged: list[Skipped] = []
@@ -322,24 +324,24 @@ def _looked_at(
             if keep is not None and not keep.any():
                 hidden.append(photo.name)
     if hidden:
-        voice.warn(f"nothing is looked at of photos whose masks are black all over: {some_names(hidden)}")
+        reporter.warn(f"ignoring photos whose masks are entirely black: {some_names(hidden)}")
     if damaged:
         understood = understood.without(damaged)
         for each in damaged:
-            voice.warn(f"ignored: {each.name} {each.why}")
+            reporter.warn(f"ignored: {each.name} {each.why}")
         if len(understood.brackets.poses) < FEWEST_POSES:
             raise DataMismatchError(
-                f"{len(understood.brackets.poses)} poses are left without damaged photos; {FEWEST_POSES} are "
-                "the least",
+                f"only {len(understood.brackets.poses)} poses have undamaged photos; at least {FEWEST_POSES} "
+                "are needed",
                 CAPTURE_REMEDY,
             )
     return understood, qualities
 
 
 def _borrowed(structure: Structure, understood: Understanding) -> tuple[Structure, dict[int, int]]:
-    """With the poses of hand-held photos that could not be placed: that of the next step of their bracket.
+    """Give hand-held photos that could not be placed the pose of the nearest step in their bracket.
 
-    Returns which took whose.
+    Also returns which photo took which one's pose.
     """
     place_of = understood.brackets.place_of
     registered, borrowed = dict(structure.registered), {}
@@ -362,12 +364,12 @@ def _require_enough(structure: Structure, understood: Understanding, partial: bo
         left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
         raise StructureError(
             f"only {placed} of {all_poses} poses could be placed; not {some_names(left_out)}",
-            CAPTURE_REMEDY + " --partial goes on with those that were placed.",
+            CAPTURE_REMEDY + " --partial continues with those that were placed.",
         )
 
 
 def _encoding(understood: Understanding) -> dict[str, Any]:
-    """What the codes of the pictures mean, for readers of the data set (docs/formats.md)."""
+    """The meaning of the pictures' codes, for readers of the data set (docs/formats.md)."""
     if not understood.is_raw:
         return {"encoding": "camera"}
     photos = understood.brackets.photos
@@ -390,27 +392,27 @@ def _encoding(understood: Understanding) -> dict[str, Any]:
 
 
 def _noise(photos: list[Photo]) -> tuple[Noise | None, str]:
-    """Of raw files of one ISO, and in words where it is from."""
-    told = [photo.noise for photo in photos if photo.noise is not None]
-    if told:
+    """The noise of raw files of one ISO, and a description of its origin."""
+    stated = [photo.noise for photo in photos if photo.noise is not None]
+    if stated:
         slope, offset = (
-            statistics.median(getattr(each, name) for each in told) for name in ("slope", "offset")
+            statistics.median(getattr(each, name) for each in stated) for name in ("slope", "offset")
         )
         return Noise(slope, offset), "the files' NoiseProfile"
     some = photos[:: max(1, len(photos) // NOISE_PHOTOS)][:NOISE_PHOTOS]
     found = estimated(plane for photo in some for plane in raw.photosites(photo.path))
-    return found, f"flat places of {len(some)} raw files"
+    return found, f"flat areas of {len(some)} raw files"
 
 
 def _plain(value: object) -> object:
     return str(value) if isinstance(value, Path) else value
 
 
-# ---- who is told -------------------------------------------------------------------------------------
+# ---- output ------------------------------------------------------------------------------------------
 
 
-class Voice:
-    """Who is told what goes on: people or a program. Active (``with``) while the long work is done."""
+class Reporter:
+    """Reports to people or a program. Active (``with``) during the long work."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -423,25 +425,25 @@ class Voice:
         self.warnings.append(line)
 
     def progress(self, report: Report) -> None:
-        """How far the work is."""
+        """Show the progress."""
 
-    def __enter__(self) -> "Voice":
+    def __enter__(self) -> "Reporter":
         return self
 
     def __exit__(self, *_: object) -> None:
         pass
 
 
-class Lines(Voice):
-    """JSON on stdout, an object a line, as ``addon/session/task.py`` reads it."""
+class JsonReporter(Reporter):
+    """Writes JSON to stdout, one object per line, as ``addon/session/task.py`` reads it."""
 
     def progress(self, report: Report) -> None:
         left = {} if report.seconds_left is None else {"seconds_left": report.seconds_left}
-        line(progress=report.fraction, message=report.message, **left)
+        write_json(progress=report.fraction, message=report.message, **left)
 
 
-class Terminal(Voice):
-    """A bar with the time that is left, or, without a terminal, a line for each step."""
+class TerminalReporter(Reporter):
+    """Shows a bar with the time left or, without a terminal, a line for each step."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -472,7 +474,7 @@ class Terminal(Voice):
             self._last = report.message
             console.print(report.message)
 
-    def __enter__(self) -> Voice:
+    def __enter__(self) -> Reporter:
         self._bar.start()
         return self
 

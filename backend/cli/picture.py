@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr render`` of pictures, EXR or PNG: one, a sequence, all views, or the confidence."""
+"""``physhdr render`` for pictures, EXR or PNG: one, a sequence, all views, or the confidence."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,64 +19,66 @@ from ..evaluate.picture_folder import write_pictures
 from ..evaluate.results import VIEWS_OF
 from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
-from .confidence import on_gaussians_and_sure, write_confidence, write_confidence_around
-from .given import given_of
-from .layers import Sure
-from .lighting import levels_asked
+from .confidence import gaussians_with_confidence, write_confidence, write_confidence_around
+from .layers import GaussianConfidence
+from .lighting import requested_levels
+from .options import changed_options
+from .output import printer, progress
 from .rendering import CameraOptions, LookOptions, Rendering, camera_named
 from .sequence import (
     Frame,
     Opened,
     begin,
-    draw,
-    draw_all,
-    draw_at_once,
     model_digest,
     numbered,
     plan_file,
+    render_all,
+    render_frame,
+    render_in_parallel,
     require_model,
     threads_each,
 )
-from .told import progress, saying
 
-#: What a picture's name ends in.
+#: File name endings of pictures.
 SUFFIXES = (".exr", ".png")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureOptions:
-    """One picture, or a frame for each of --camera's."""
+    """One picture, or one per frame of --camera."""
 
-    #: One .exr of all that can be told: radiance with alpha, depth, what each light causes, confidence.
+    #: Write one .exr with all layers: radiance with alpha, depth, each light's contribution, confidence.
     #: docs/formats.md
     layers: bool = False
-    #: Processes that draw the frames of --camera, each with a part of the threads and memory of its own.
+    #: Processes that render the frames of --camera, sharing the threads, each with its own memory.
     workers: int = 1
-    #: Draw all frames of --camera anew; else those that are there already are kept.
+    #: Render all frames of --camera again; otherwise existing ones are kept.
     overwrite: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
-    """A camera of the data set at any exposure and lighting level, or numbered frames along a path."""
+    """Render a camera of the data set at any exposure and lighting level, or numbered frames along a path."""
 
     def work(self) -> dict[str, Any]:
         self._check()
-        say = saying(self.json)
+        say = printer(self.json)
         if self.camera is not None:
             return self._along(self.camera, say)
         run = self._opened(say)
-        levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
+        levels = requested_levels(self.lighting_level, self.lighting_levels, run.method.lights)
         camera = camera_named(run.scene, self.view)
         if self.width is not None:
             camera = camera.resized(self.width)
         exposure = self.exposure or run.scene.middle_exposure
-        draw(run, Frame(self.only_out, camera, exposure, levels, self.layers), self._sure(run, say))
+        render_frame(
+            run, Frame(self.only_out, camera, exposure, levels, self.layers), self._confidence(run, say)
+        )
         say(f"wrote {self.only_out}")
         return {"out": str(self.only_out), "frames": 1}
 
     def _check(self) -> None:
-        """Raises ``BadValueError`` where options mean nothing together."""
+        """Raises ``BadValueError`` for options that do not go together."""
         kind = self.only_out.suffix.lower()
         if not self.lighting_level >= 0.0:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
@@ -85,18 +87,18 @@ class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
         whole("--workers", self.workers, 1, THREADS_MAX)
         if self.layers and (kind != ".exr" or self.exposure is not None):
             raise BadValueError(
-                "--layers are of radiance: one .exr, which has no exposure",
+                "--layers writes radiance: one .exr, which has no exposure",
                 "Let --out end in .exr, and leave --exposure out.",
             )
         if kind == ".exr" and self.exposure is not None:
             raise BadValueError(
-                f"--exposure changes nothing about {self.only_out.name}, which is radiance",
+                f"--exposure has no effect on {self.only_out.name}, which is radiance",
                 "Leave it out, or let --out end in .png.",
             )
         self.require_file()
-        if self.camera is None and (given := given_of(self, "workers", "overwrite")):
+        if self.camera is None and (changed := changed_options(self, "workers", "overwrite")):
             raise BadValueError(
-                f"--{given[0]} only works with --camera FILE", "Leave it out, or give a file."
+                f"--{changed[0]} only works with --camera FILE", "Leave it out, or give a file."
             )
         if self.camera is not None and self.view is not None:
             raise BadValueError("--view is one camera, --camera a file of them", "Leave one of them out.")
@@ -104,50 +106,50 @@ class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
     def _opened(self, say: Callable[[str], None]) -> Run:
         return open_run(self.source, self.data, self.rasteriser, self.device, say, pictures=False)
 
-    def _sure(self, run: Run, say: Callable[[str], None]) -> Sure | None:
-        """The confidence for --layers; None without, and, which is told, where no picture states it."""
+    def _confidence(self, run: Run, say: Callable[[str], None]) -> GaussianConfidence | None:
+        """The confidence for --layers; None without it, and, with a message, where pictures are missing."""
         if not self.layers:
             return None
         try:
-            return Sure(*on_gaussians_and_sure(run))
+            return GaussianConfidence(*gaussians_with_confidence(run))
         except FileMissingError as error:
             say(f"without the layer Confidence: {error.message}")
             return None
 
     def _along(self, file: Path, say: Callable[[str], None]) -> dict[str, Any]:
-        """The frames of a file of cameras."""
+        """Render the frames of a file of cameras."""
         model = model_digest(self.source)
         run = self._opened(say)
         require_model(self.source, model)
         out, shots = self.only_out, self.shots(run.scene, file)
         frames = self._frames(run, shots)
         if len(frames) == 1 and "#" not in out.name:
-            draw(run, frames[0], self._sure(run, say))
+            render_frame(run, frames[0], self._confidence(run, say))
             say(f"wrote {out}")
             return {"out": str(out), "frames": 1}
         writable_folder(out.parent)
         plan = plan_file(out)
         left = begin(frames, plan, model, self.layers and run.seen() is not None, self.overwrite)
-        sure = self._sure(run, say) if left else None
+        confidence = self._confidence(run, say) if left else None
         workers = min(self.workers, len(left))
         with progress("render", "frame", self.json) as show:
             if workers > 1:
                 opened = Opened(self.source, self.data, self.rasteriser, self.device, model)
                 threads = threads_each(workers, torch.get_num_threads())
-                draw_at_once(opened, left, workers, threads, sure, show)
+                render_in_parallel(opened, left, workers, threads, confidence, show)
             else:
-                draw_all(run, left, sure, show)
-        kept = f"; {len(frames) - len(left)} were there already" if len(left) < len(frames) else ""
-        say(f"wrote {len(left)} of {len(frames)} frames, {out}{kept}")
+                render_all(run, left, confidence, show)
+        existing = f"; {len(frames) - len(left)} existed already" if len(left) < len(frames) else ""
+        say(f"wrote {len(left)} of {len(frames)} frames, {out}{existing}")
         return {"out": str(out), "frames": len(frames)}
 
     def _frames(self, run: Run, shots: Shots) -> list[Frame]:
-        """What each frame shows, by the file and the options."""
+        """The frames, from the file and the options."""
         lights = run.method.lights
-        levels = levels_asked(self.lighting_level, self.lighting_levels, lights)
+        levels = requested_levels(self.lighting_level, self.lighting_levels, lights)
         if any(shot.levels for shot in shots.frames):
-            if given := given_of(self, "lighting_level", "lighting_levels"):
-                raise BadValueError(f"--{given[0]}: the file of cameras has levels", "Leave it out.")
+            if changed := changed_options(self, "lighting_level", "lighting_levels"):
+                raise BadValueError(f"--{changed[0]}: the file of cameras has levels", "Leave it out.")
             lit = [levels_of(shot, lights) for shot in shots.frames]
         else:
             lit = [levels] * len(shots.frames)
@@ -174,9 +176,9 @@ class Views(Rendering):
     def work(self) -> dict[str, Any]:
         if self.width is not None:
             raise BadValueError(
-                "--width has no effect on --split, whose pictures have their own", "Leave it out."
+                "--width has no effect on --split, whose pictures have their own size", "Leave it out."
             )
-        out, say = self.only_out, saying(self.json)
+        out, say = self.only_out, printer(self.json)
         run = open_run(self.source, self.data, self.rasteriser, self.device, say)
         if not run.scene.splits[self.split]:
             raise BadValueError(
@@ -196,13 +198,13 @@ class Confidence(Rendering):
     at: tuple[tuple[float, float, float], ...] = ()
 
     def work(self) -> dict[str, Any]:
-        out, say = self.only_out, saying(self.json)
+        out, say = self.only_out, printer(self.json)
         if out.suffix.lower() not in SUFFIXES:
             raise BadValueError(f"--out must end in .exr or .png, got {out.name}")
         if self.at and self.view is not None:
             raise BadValueError("--view is one camera, --at all directions", "Leave one of them out.")
         if len(self.at) > 1:
-            raise BadValueError(f"--confidence is of one place, got {len(self.at)}", "Give one --at.")
+            raise BadValueError(f"--confidence takes one place, got {len(self.at)}", "Give one --at.")
         run = open_run(self.source, self.data, self.rasteriser, self.device, say, pictures=False)
         if self.at:
             written = write_confidence_around(run, self.at[0], self.width or WIDTH, out)

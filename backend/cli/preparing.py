@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all kinds of ``physhdr prepare`` share: what they read and where they write."""
+"""Options shared by all kinds of ``physhdr prepare``: what to read and where to write."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,18 +11,18 @@ from ...bridge.errors import BadValueError
 
 @dataclass(frozen=True, kw_only=True)
 class Preparing:
-    """What is prepared, and where to."""
+    """What to prepare, and where to."""
 
     #: Folder of the photos (JPEG, HEIC, PNG, TIFF or raw files, with brackets or without), or of a data set.
     source: tyro.conf.Positional[Path]
-    #: Folder of the data set to make; --out says the same.
+    #: Folder of the data set to make; same as --out.
     target: tyro.conf.Positional[Path | None] = None
     #: Folder of the data set to make; of --triangulate the PLY, by default points3d_sfm.ply in the data set.
     out: Path | None = None
 
     @property
     def destination(self) -> Path | None:
-        """Where to write, None where nothing says so; raises ``BadValueError`` for two places."""
+        """Where to write, None if not given; raises ``BadValueError`` if given twice."""
         place = self.out or self.target
         if (self.target or place) != place:
             raise BadValueError(

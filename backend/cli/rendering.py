@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all kinds of ``physhdr render`` share: options, the cameras that they name."""
+"""Options shared by all kinds of ``physhdr render``, and the cameras they name."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,45 +19,45 @@ from ..scene import Camera, Scene
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """What is rendered, by what, and where it goes."""
+    """What to render, with what, and where to."""
 
-    #: Folder of the run; with --at also a model file that was exported (.safetensors, .ply).
+    #: Folder of the run; with --at also an exported model file (.safetensors, .ply).
     source: tyro.conf.Positional[Path]
     #: What to write: .exr (scene-linear radiance) or .png (through the learned response); a video (.mp4, .mov
     #: and .mkv need the package av; web pages loop .webp); or a folder: of a video's frames (PNG), of
-    #: all views (--split), of the light at a place (--at). A video and a folder may both be named.
+    #: all views (--split), of the light at a place (--at). A video and a folder may both be given.
     out: Annotated[list[Path], tyro.conf.UseAppendAction]
     #: Width in pixels (the height follows); default: the data set's, or that of --camera; of --at a power of
     #: two, by default 1024.
     width: int | None = None
-    #: The data set, where it has moved since training.
+    #: The data set, if it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
     device: DeviceName = "auto"
-    #: Say how far it is, and the result or the error, as JSON, an object a line.
+    #: Write progress and the result or error as JSON, one object per line.
     json: bool = False
 
     @property
     def only_out(self) -> Path:
-        """Of a kind that writes one thing; raises ``BadValueError`` for several."""
+        """The one output; raises ``BadValueError`` for several."""
         if len(self.out) != 1:
-            raise BadValueError(f"one thing is written, and there are {len(self.out)} --out", "Give one.")
+            raise BadValueError(f"expected one --out, got {len(self.out)}", "Give one.")
         return self.out[0]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions:
-    """From where: one camera of the data set, or a file of cameras, a frame each."""
+    """One camera of the data set, or a file of cameras, one per frame."""
 
     #: Which camera: SPLIT/POSE; default: the first test view.
     view: str | None = None
-    #: A file of cameras instead: Blender's panel's (docs/formats.md), whose stops of exposure, levels and
-    #: frames a second count, too; a path of nerfstudio's viewer (JSON), or a USD camera. Of one camera it is
-    #: a picture, of several frames/name_####.exr (or .png), a folder, or a video.
+    #: A file of cameras instead: of Blender's panel (docs/formats.md), with exposure, levels and frame rate;
+    #: a path of nerfstudio's viewer (JSON), or a USD camera. One camera gives a picture, several give
+    #: frames/name_####.exr (or .png), a folder, or a video.
     camera: Path | None = None
-    #: Which of a USD file's cameras, by its path or name; it may have one alone.
+    #: Which of a USD file's cameras, by path or name, if it has several.
     camera_prim: str | None = None
-    #: dataparser_transforms.json of the nerfstudio training whose viewer made the path: its world is another.
+    #: dataparser_transforms.json of the nerfstudio training whose viewer made the path, to convert its axes.
     camera_space: Path | None = None
 
     def require_file(self) -> None:
@@ -76,20 +76,20 @@ class CameraOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class LookOptions:
-    """In what light, and how it is exposed."""
+    """Light and exposure."""
 
-    #: Seconds; not of .exr. Default: the middle exposure of the data set.
+    #: Seconds; not for .exr. Default: the middle exposure of the data set.
     exposure: float | None = None
-    #: The first light, which is the ambient one wherever that has levels, relative to the standard views.
+    #: Level of the first light (the ambient one if that has levels), relative to the standard views.
     lighting_level: float = 1.0
-    #: Lights by name: NAME=VALUE …; those not named are at 1.
+    #: Lights by name: NAME=VALUE …; the others are at 1.
     lighting_levels: tuple[str, ...] = ()
 
 
 def camera_named(scene: Scene, name: str | None) -> Camera:
     """The camera of ``test/3``, ``train/0`` or ``lit/2``; None: the first test view, or training view.
 
-    Raises ``BadValueError`` naming what there is.
+    Raises ``BadValueError`` listing those that exist.
     """
     if name is None:
         return (scene.test or scene.train)[0].camera

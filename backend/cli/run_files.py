@@ -21,29 +21,29 @@ from ..export.fitted_bake import fitted_colour_sh, method_picture
 from ..runs.files import writable_folder
 from ..runs.run import open_run
 from .exporting import BakedLook, Exporting
-from .lighting import levels_asked
-from .told import progress, saying
+from .lighting import requested_levels
+from .output import printer, progress
 
-#: Said of a model whose training pictures have gone.
-NO_CONFIDENCE = "without confidence: the training pictures are not there, or are others (--data)"
-#: Of a PLY file, among the first bytes of whose header an export has written where it comes from.
+#: Printed for a model whose training pictures are missing.
+NO_CONFIDENCE = "without confidence: the training pictures are missing or have changed (--data)"
+#: Within this many bytes of a PLY file's header an export writes its provenance.
 HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFiles(Exporting, BakedLook):
-    """RUN/model.safetensors (for Blender), cameras.json and a standard 3DGS PLY; of Gaussians also the
+    """Write RUN/model.safetensors (for Blender), cameras.json and a standard 3DGS PLY; for Gaussians also the
     lossless PLY."""
 
     def work(self) -> dict[str, Any]:
-        say = saying(self.json)
+        say = printer(self.json)
         if not self.lighting_level >= 0.0 or not abs(self.exposure_ev or 0.0) <= EV_MAX:
             raise BadValueError(
                 f"cannot bake at EV {self.exposure_ev or 0.0} and lighting level {self.lighting_level}",
                 f"Give an EV of −{EV_MAX:g} to {EV_MAX:g} and a lighting level of 0 or more.",
             )
         run = open_run(self.source, self.data, report=say, pictures=False)
-        levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
+        levels = requested_levels(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.source)
         refuse_others(out / CAMERAS_FILE)
         former = _former(out)
@@ -51,17 +51,17 @@ class RunFiles(Exporting, BakedLook):
         with progress("confidence", "view", self.json) as show:
             model = run.model(show)
         write_model(out / MODEL_FILE, model)
-        for path in former:  # they are of another model, whatever comes of the new ones
+        for path in former:  # stale now, even if writing new ones fails
             _remove(path)
         without = "" if model.confidence is not None else f"; {NO_CONFIDENCE}"
         say(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender{without}")
 
         write_camera_list(out / CAMERAS_FILE, run.camera_list())
-        learned = "" if run.twists is None else ", where training has found them to be"
+        learned = "" if run.twists is None else ", with learned poses"
         say(f"wrote {out / CAMERAS_FILE}: its cameras{learned}")
 
         ev = model.developed_ev if self.exposure_ev is None else self.exposure_ev
-        if self.quick:  # what is fitted to the method's pictures is at any level
+        if self.quick:  # colours fitted to the method's images may have any level
             levels = model.known_levels(levels)
         look, exposure = look_words(ev, levels, model.lights), 2.0**ev
         colours = display_colour_sh(model, exposure, levels)
@@ -84,7 +84,7 @@ class RunFiles(Exporting, BakedLook):
         say(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")
 
         if not run.method.backbone.is_fixed:
-            say("no lossless.ply: this run's Gaussians are other ones for each view")
+            say("no lossless.ply: this run's Gaussians differ from view to view")
             return {"folder": str(out), "gaussians": method.size}
         comments.append("phys_ columns and phys_network lines hold the model, scene-linear; keep these")
         write_lossless_ply(
@@ -98,19 +98,19 @@ class RunFiles(Exporting, BakedLook):
 
 
 def _former(out: Path) -> list[Path]:
-    """The PLY files that an export left in ``out``; raises ``OutputError`` where one is not of any."""
+    """The PLY files of an earlier export in ``out``; raises ``OutputError`` for one of another origin."""
     former = []
     for path in (out / BAKED_FILE, out / LOSSLESS_FILE):
         try:
             head = _head(path) if stat.S_ISREG(path.stat().st_mode) else b""
         except FileNotFoundError:
             continue
-        except OSError:  # what cannot be read is not replaced
+        except OSError:  # unreadable files are not replaced
             head = b""
         if f"\ncomment {PROVENANCE}".encode() not in head:
             raise OutputError(
-                f"{path} is there, and 'physhdr export' did not write it",
-                "Name another folder, or move it away.",
+                f"{path} exists, and 'physhdr export' did not write it",
+                "Give another folder, or move it away.",
             )
         former.append(path)
     return former
@@ -126,6 +126,6 @@ def _remove(path: Path) -> None:
         patiently(partial(path.unlink, missing_ok=True))
     except OSError as error:
         raise OutputError(
-            f"cannot replace {path}, which is of another model: {error.strerror or error}",
+            f"cannot replace {path}, which belongs to another model: {error.strerror or error}",
             "Close the program that has it open, or remove it, and export again.",
         ) from error

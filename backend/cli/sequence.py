@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbered frames along a path of cameras: which there are already, and who draws the others.
+"""Numbered frames along a path of cameras, rendered here or by several processes.
 
-Beside the frames stands ``NAME_####.exr.frames.json``: what each of them shows, as a digest of the model, the
-camera and the light. A frame that is there is whole (it is written by a rename), and is kept where that file
-says that it is the one; so an interrupted sequence goes on. It is drawn here, or by several processes, which
-get their frames in a file and open the run themselves (``child.py``).
+``NAME_####.exr.frames.json`` next to the frames stores what each shows, as a digest of the model, the camera
+and the light. Existing frames are complete (they are written by a rename) and stay if their digest matches,
+so an interrupted sequence resumes. Other processes read their frames from a file and open the run themselves
+(``child.py``).
 """
 
 import hashlib
@@ -36,19 +36,17 @@ from ..rasterize import Implementation
 from ..runs.run import Run, open_run
 from ..scene import Camera
 from ..scene.pictures import write_exr, write_png
-from .layers import Sure, draw_layers, write_layers
+from .layers import GaussianConfidence, render_layers, write_layers
+from .output import ShowProgress
 
 FORMAT, VERSION = "physhdr-frames", 1
-#: Seconds between looks at what the other processes have drawn.
-LOOK_EVERY = 0.2
-
-#: Called with how many frames are there, of how many, and which is next.
-Show = Callable[[int, int, str], None]
+#: Seconds between checks of the other processes' frames.
+POLL_SECONDS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame to draw. ``exposure``: seconds, for PNG alone. ``layers``: all that can be told (EXR)."""
+    """A frame to render. ``exposure``: seconds, for PNG only. ``layers``: write all layers (EXR)."""
 
     path: Path
     camera: Camera
@@ -57,7 +55,7 @@ class Frame:
     layers: bool = False
 
     def described(self) -> dict[str, Any]:
-        """As a job's file has it; ``_frame`` is the way back."""
+        """The frame as stored in a job's file; ``_frame`` is the inverse."""
         camera = self.camera
         return {
             "path": str(self.path),
@@ -70,19 +68,23 @@ class Frame:
         }
 
     def digest(self, model: str, confidence: bool) -> str:
-        """Of all that decides how the frame looks but for its name; ``model``: that of the run's weights.
+        """Digest of everything that determines the frame's content; ``model``: digest of the run's weights.
 
-        ``confidence``: whether its layers have Confidence.
+        ``confidence``: whether its layers include Confidence.
         """
-        told = self.described() | {"path": self.path.suffix.lower(), "model": model, "confidence": confidence}
-        if told["path"] == ".exr":
-            told["exposure"] = None  # radiance has none
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
+        content = self.described() | {
+            "path": self.path.suffix.lower(),
+            "model": model,
+            "confidence": confidence,
+        }
+        if content["path"] == ".exr":
+            content["exposure"] = None  # radiance has none
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _frame(told: dict[str, Any]) -> Frame:
-    camera = Camera(np.array(told["pose"], np.float64), *told["size"], *told["pinhole"])
-    return Frame(Path(told["path"]), camera, told["exposure"], tuple(told["levels"]), told["layers"])
+def _frame(stored: dict[str, Any]) -> Frame:
+    camera = Camera(np.array(stored["pose"], np.float64), *stored["size"], *stored["pinhole"])
+    return Frame(Path(stored["path"]), camera, stored["exposure"], tuple(stored["levels"]), stored["layers"])
 
 
 # ---- names ---------------------------------------------------------------------------------------------
@@ -95,43 +97,43 @@ def numbered(out: Path, count: int) -> list[Path]:
         return [out]
     if len(runs) != 1:
         raise BadValueError(
-            f"--out of a sequence has one run of # for its frames' numbers, got {out.name}",
-            "Such as frames/name_####.exr.",
+            f"--out of a sequence needs one run of # for the frames' numbers, got {out.name}",
+            "For example: frames/name_####.exr.",
         )
     return [out.with_name(out.name.replace(runs[0], f"{k:0{len(runs[0])}d}")) for k in range(count)]
 
 
 def plan_file(out: Path) -> Path:
-    """What stands beside the frames: ``frames/name_####.exr.frames.json`` of ``frames/name_####.exr``.
+    """The file next to the frames: ``frames/name_####.exr.frames.json`` for ``frames/name_####.exr``.
 
-    With its #: what else is drawn here under a like name (``name_##.exr``) has its own.
+    It includes the #, so that a similar sequence (``name_##.exr``) has its own.
     """
     return out.with_name(f"{out.name}.frames.json")
 
 
-# ---- what is there -------------------------------------------------------------------------------------
+# ---- existing frames -----------------------------------------------------------------------------------
 
 
 def begin(frames: Sequence[Frame], plan: Path, model: str, confidence: bool, overwrite: bool) -> list[Frame]:
-    """The frames that are still to be drawn, after the plan was written.
+    """Write the plan; returns the frames that are still to be rendered.
 
-    ``model``, ``confidence``: as ``Frame.digest`` takes them.
-    Raises ``OutputError`` where there are frames of something else, unless they are to be replaced.
+    ``model``, ``confidence``: as in ``Frame.digest``. Raises ``OutputError`` where frames with other content
+    exist, unless ``overwrite``.
     """
     wanted = {frame.path.name: frame.digest(model, confidence) for frame in frames}
-    there = _planned(plan) if plan.exists() else {}
-    stale = {name for name, digest in there.items() if wanted.get(name) != digest}
+    planned = _planned(plan) if plan.exists() else {}
+    stale = {name for name, digest in planned.items() if wanted.get(name) != digest}
     stale = {name for name in stale if plan.with_name(name).exists()}
-    unknown = {frame.path.name for frame in frames if frame.path.exists()} - set(there)
+    unknown = {frame.path.name for frame in frames if frame.path.exists()} - set(planned)
     if (stale or unknown) and not overwrite:
         first = min(stale | unknown)
-        why = "shows something else" if stale else "is there, and nothing says what it shows"
+        why = "shows something else" if stale else "exists, and its content is unknown"
         raise OutputError(
             f"{plan.with_name(first)} {why}"
             + (f" ({len(stale | unknown)} such frames)" if len(stale | unknown) > 1 else ""),
-            "Give another --out, or --overwrite to draw them anew.",
+            "Give another --out, or --overwrite to render them again.",
         )
-    drop = {name for name in (*there, *wanted)} if overwrite else stale
+    drop = {name for name in (*planned, *wanted)} if overwrite else stale
     for path in map(plan.with_name, sorted(drop)):
         try:
             path.unlink(missing_ok=True)
@@ -148,13 +150,13 @@ def _planned(plan: Path) -> dict[str, str]:
     content = read_json_object(plan, remedy)
     frames = content.get("frames")
     if content.get("format") != FORMAT or not isinstance(frames, dict):
-        raise OutputError(f"{plan} is no {FORMAT} file", remedy)
-    # Names alone: nothing outside of the folder may be touched.
+        raise OutputError(f"{plan} is not a {FORMAT} file", remedy)
+    # Names only: nothing outside the folder may be touched.
     return {str(name): str(digest) for name, digest in frames.items() if Path(name).name == name}
 
 
 def model_digest(folder: Path) -> str:
-    """Of the run's weights; empty where there are none, of which ``open_run`` tells."""
+    """Digest of the run's weights; empty where there are none, which ``open_run`` reports."""
     if not (folder / CHECKPOINT_FILE).is_file():
         return ""
     with open(folder / CHECKPOINT_FILE, "rb") as file:
@@ -162,24 +164,24 @@ def model_digest(folder: Path) -> str:
 
 
 def require_model(folder: Path, digest: str) -> None:
-    """Raises ``DataMismatchError`` where the run's weights are others than those of ``digest``.
+    """Raises ``DataMismatchError`` where the run's weights differ from those of ``digest``.
 
-    Called after the run was opened, with a digest from before: then what was opened is those, too.
+    Called after opening the run with a digest from before, which proves that these weights were opened.
     """
     if model_digest(folder) != digest:
         raise DataMismatchError(
-            f"the model in {folder} changed while its frames were drawn",
-            "Is it still being trained? Draw them when that has ended, with --overwrite.",
+            f"the model in {folder} changed while its frames were rendered",
+            "If it is still training, render them afterwards, with --overwrite.",
         )
 
 
-# ---- drawing -------------------------------------------------------------------------------------------
+# ---- rendering -----------------------------------------------------------------------------------------
 
 
-def draw(run: Run, frame: Frame, sure: Sure | None = None) -> None:
-    """Draw a frame into its file; raises ``OutputError``, ``BadValueError`` for NaN."""
+def render_frame(run: Run, frame: Frame, confidence: GaussianConfidence | None = None) -> None:
+    """Render a frame into its file; raises ``OutputError``, ``BadValueError`` for NaN."""
     if frame.layers:
-        layers = draw_layers(run.method, frame.camera, frame.levels, sure, run.radiance_scale)
+        layers = render_layers(run.method, frame.camera, frame.levels, confidence, run.radiance_scale)
         finite(layers.radiance, frame.path.name)
         write_layers(frame.path, layers, frame.levels)
     elif frame.path.suffix.lower() == ".exr":
@@ -189,11 +191,13 @@ def draw(run: Run, frame: Frame, sure: Sure | None = None) -> None:
         write_png(frame.path, as_picture(run.method.ldr(frame.camera, frame.exposure, frame.levels)))
 
 
-def draw_all(run: Run, frames: Sequence[Frame], sure: Sure | None, show: Show) -> None:
-    """One after the other, here."""
+def render_all(
+    run: Run, frames: Sequence[Frame], confidence: GaussianConfidence | None, show: ShowProgress
+) -> None:
+    """Render one after the other in this process."""
     for done, frame in enumerate(frames):
         show(done, len(frames), frame.path.name)
-        draw(run, frame, sure)
+        render_frame(run, frame, confidence)
     show(len(frames), len(frames), "")
 
 
@@ -209,20 +213,25 @@ class Opened:
 
 
 class WorkerError(PhysHDRError):
-    """Another process that did a part of the work has failed."""
+    """Another process, which did part of the work, has failed."""
 
 
-def draw_at_once(
-    opened: Opened, frames: Sequence[Frame], workers: int, threads: int, sure: Sure | None, show: Show
+def render_in_parallel(
+    opened: Opened,
+    frames: Sequence[Frame],
+    workers: int,
+    threads: int,
+    confidence: GaussianConfidence | None,
+    show: ShowProgress,
 ) -> None:
-    """By ``workers`` processes of ``threads`` threads each; raises ``WorkerError``.
+    """Render in ``workers`` processes of ``threads`` threads each; raises ``WorkerError``.
 
-    Whatever is raised, they have ended.
+    Whatever is raised, the processes have ended.
     """
     with tempfile.TemporaryDirectory(prefix="physhdr-frames-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        if sure is not None:
-            np.save(folder / "confidence.npy", sure.confidence)
+        if confidence is not None:
+            np.save(folder / "confidence.npy", confidence.confidence)
         with caught(interrupt), LocalPool(workers) as pool:
             for number in range(workers):
                 job = folder / f"{number}.json"
@@ -233,25 +242,25 @@ def draw_at_once(
                     "rasteriser": opened.rasteriser,
                     "device": opened.device,
                     "model": opened.model,
-                    "confidence": None if sure is None else str(folder / "confidence.npy"),
+                    "confidence": None if confidence is None else str(folder / "confidence.npy"),
                     "frames": [frame.described() for frame in frames[number::workers]],
                 }
                 job.write_text(json.dumps(content), encoding="utf-8")
                 pool.submit(str(number), partial(_worked, job, threads))
             left = workers
             while left:
-                time.sleep(LOOK_EVERY)
+                time.sleep(POLL_SECONDS)
                 show(sum(frame.path.exists() for frame in frames), len(frames), "")
                 for _, outcome in pool.finished():
                     if outcome.kind != "done":
                         raise WorkerError(
-                            f"a worker failed: {outcome.message}", "Call again with --workers 1 to see more."
+                            f"a worker failed: {outcome.message}", "Retry with --workers 1 to see more."
                         )
                     left -= 1
 
 
 def _worked(job: Path, threads: int, should_stop: Callable[[], bool]) -> Outcome:
-    """Run one process to its end, in a thread that watches it."""
+    """Run one process to its end, watched by this thread."""
     log = job.with_suffix(".log")
     command = child_command(__name__, str(job))
     variables = dict.fromkeys(THREAD_VARIABLES, str(threads)) | {"PYTHONUNBUFFERED": "1"}
@@ -262,21 +271,21 @@ def _worked(job: Path, threads: int, should_stop: Callable[[], bool]) -> Outcome
     if status == 0:
         return Outcome("done")
     lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    said = [line for line in lines if line.startswith("error: ")]
-    return Outcome("failed", (said or lines or [f"it ended with status {status}"])[-1])
+    errors = [line for line in lines if line.startswith("error: ")]
+    return Outcome("failed", (errors or lines or [f"it ended with status {status}"])[-1])
 
 
 def main(argv: list[str]) -> int:
-    """Draw a job's frames; what another process calls."""
+    """Render a job's frames: the entry point of another process."""
     end_with_parent()
     try:
         with caught(interrupt):
-            return _drawn(argv)
+            return _render_job(argv)
     except KeyboardInterrupt:
         return 130
 
 
-def _drawn(argv: list[str]) -> int:
+def _render_job(argv: list[str]) -> int:
     job = json.loads(Path(argv[0]).read_text(encoding="utf-8"))
     import torch
 
@@ -288,11 +297,13 @@ def _drawn(argv: list[str]) -> int:
         data = None if job["data"] is None else Path(job["data"])
         run = open_run(Path(job["folder"]), data, job["rasteriser"], job["device"], pictures=False)
         require_model(run.folder, job["model"])
-        sure = None
+        confidence = None
         if job["confidence"] is not None:
-            sure = Sure(run.on_gaussians(), np.load(job["confidence"], allow_pickle=False))
-        for told in job["frames"]:
-            draw(run, _frame(told), sure)
+            confidence = GaussianConfidence(
+                run.on_gaussians(), np.load(job["confidence"], allow_pickle=False)
+            )
+        for stored in job["frames"]:
+            render_frame(run, _frame(stored), confidence)
     except PhysHDRError as error:
         sys.stderr.write(f"error: {error.message}\n")
         return 1

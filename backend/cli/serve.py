@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr serve``: the backend as a process that Blender finds by its connection file."""
+"""``physhdr serve``: runs the backend as a process that Blender finds by its connection file."""
 
 import logging
 import os
@@ -24,29 +24,29 @@ from ..serve.server import Server
 
 log = logging.getLogger(__name__)
 
-#: What clients may ask for, which Blender can show; told to them before torch is loaded.
+#: Presets that Blender can show; sent to clients before torch is loaded.
 PRESET_NAMES = tuple(preset.name for preset in PRESETS.values() if preset.splats)
 
 
 @dataclass(frozen=True)
 class Serve:
-    """Train and render on request, until nobody needs it. For Blender; docs/protocol.md."""
+    """Train and render on request while clients need it. For Blender; docs/protocol.md."""
 
-    #: Folder of the connection file, which tells the port and the token.
+    #: Folder of the connection file, which stores the port and the token.
     home: Path
-    #: Seconds without a client and without a running training after which the process ends; 0: never.
+    #: Seconds without clients and training after which the process ends; 0: never.
     idle_timeout: float = 60.0
-    #: CPU threads; 0: one for each core.
+    #: CPU threads; 0: one per core.
     threads: int = 0
     #: Where to compute, unless a request says otherwise.
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    #: The file that stdout and stderr go to, if they do: told to people who look for it.
+    #: The file that stdout and stderr are redirected to, if any, so that messages can name it.
     log: str = ""
 
     def run(self) -> int:
         if not self.idle_timeout >= 0.0:
             raise BadValueError(
-                f"--idle-timeout must be 0 or more seconds, got {self.idle_timeout}", "0 is for never."
+                f"--idle-timeout must be 0 or more seconds, got {self.idle_timeout}", "0 means never."
             )
         whole("--threads", self.threads, 0, THREADS_MAX)
         logging.basicConfig(
@@ -78,10 +78,10 @@ class Serve:
         try:
             # Imports torch: seconds, in which clients are answered.
             from ..serve.engine import Engine, Options
-        except (ImportError, OSError) as error:  # the latter on Windows, of a library that lacks another one
+        except (ImportError, OSError) as error:  # OSError on Windows, if a library's dependency is missing
             raise PackageMissingError(
                 f"the backend's packages cannot be loaded: {error}",
-                "Check the backend: that says what is missing, and how to fix it.",
+                "Check the backend: the check reports what is missing and how to fix it.",
             ) from error
         options = Options(device=self.device, threads=self.threads, log=self.log)
         return Engine(inbox, server, curves, options).run()

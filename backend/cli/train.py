@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr train``: run the trainer, show its events, keep its logs."""
+"""``physhdr train``: runs the trainer, shows and logs its events."""
 
 import dataclasses
 import signal
@@ -34,15 +34,15 @@ from ..train.saver import CHECKPOINT_SECONDS
 from ..train.settings import Setting, as_text, assigned, settings_of, type_in_words, with_settings
 from ..train.state import State
 from ..train.trainer import run as train
-from .given import as_typed, given_of
 from .kernels import compile_kernels
+from .options import changed_options, option_name
 
-#: Options that count when resuming: the run's own configuration says all else.
+#: Options with an effect when resuming: the run's own configuration sets all else.
 ON_RESUMING = ("rasteriser", "device", "threads", "checkpoint_seconds")
 
 
 def _option(setting: Setting) -> tuple[str, Any, Any]:
-    """A field for ``setting``: the words that are typed, none where the preset's value stays."""
+    """A field for ``setting`` as typed text, empty if the preset's value stays."""
     choices = {int: "INT", float: "FLOAT"}.get(setting.type, "TEXT")
     if get_origin(setting.type) is Literal:
         choices = "{" + ",".join(get_args(setting.type)) + "}"
@@ -54,7 +54,7 @@ def _option(setting: Setting) -> tuple[str, Any, Any]:
     return setting.name, Annotated[str, shown], ""
 
 
-#: The options that are settings, of which ``OPTIONS`` is the list.
+#: Options for the settings listed in ``OPTIONS``.
 Options: Any = make_dataclass(
     "Options", [_option(setting) for setting in settings_of(TrainConfig()) if setting.name in OPTIONS]
 )
@@ -62,39 +62,39 @@ Options: Any = make_dataclass(
 
 @dataclass(frozen=True)
 class Train:
-    """Train PhysHDR-GS, or another method, on a data set. CTRL-C saves a checkpoint; --resume goes on.
+    """Train PhysHDR-GS, or another method, on a data set. CTRL-C saves a checkpoint; --resume continues.
 
-    How much effort is one choice: --preset fast, default or high.
+    Choose the effort by --preset fast, default or high.
     """
 
     #: Folder of the data set.
     data: tyro.conf.Positional[Path | None] = None
     #: Folder of the run: configuration, checkpoint, logs.
     out: Path | None = None
-    #: Go on with this run, bit-identically on the CPU; its own configuration is used, no other is taken.
+    #: Resume this run with its own configuration, bit-identically on the CPU.
     resume: Path | None = None
     #: Start again where --out already holds a run, replacing it.
     overwrite: bool = False
-    #: What all settings are unless they are given. fast and high are default with half and four times the
-    #: iterations; the others are yardsticks and published methods.
+    #: Values of all settings that are not given. fast and high are default with half and four times the
+    #: iterations; the others are baselines and published methods.
     preset: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(PRESETS) + "}")] = "default"
-    #: What draws the Gaussians; auto: CUDA where there is one, else the CPU kernels.
+    #: Renders the Gaussians; auto: CUDA if available, else the CPU kernels.
     rasteriser: Implementation = "auto"
-    #: Where to compute; auto: a CUDA card if there is one that works, else the CPU.
+    #: Where to compute; auto: a working CUDA card if there is one, else the CPU.
     device: DeviceName = "auto"
-    #: CPU threads; 0: one for each core. The result depends on it by rounding alone.
+    #: CPU threads; 0: one per core. Affects the result by rounding only.
     threads: int = 0
-    #: Seconds between checkpoints; more where writing one would take a fiftieth of the time.
+    #: Seconds between checkpoints; more if writing one would take a fiftieth of the time.
     checkpoint_seconds: float = CHECKPOINT_SECONDS
     options: Annotated[Any, tyro.conf.arg(name="", constructor=Options)] = field(default_factory=Options)
     #: Any other setting, such as backbone.budget=60000; may be repeated.
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE"), tyro.conf.UseAppendAction] = ()
-    #: List all settings of the preset, and what they are.
+    #: List all settings with the preset's values.
     help_all: bool = False
 
     @property
     def assignments(self) -> list[str]:
-        """The settings that are given, as ``NAME=VALUE``: sizes that are not follow from the data."""
+        """The given settings, as ``NAME=VALUE``: the other sizes follow from the data."""
         typed = {name: as_text(value) for name, value in vars(self.options).items() if value}
         return [*(f"{name}={value}" for name, value in typed.items()), *self.set]
 
@@ -108,10 +108,10 @@ class Train:
         if not self.checkpoint_seconds >= 0.0:
             raise BadValueError(f"--checkpoint-seconds must be 0 or more, got {self.checkpoint_seconds}")
         expected: list[Duration] = []
-        with self._begun(expected.append) as (state, run):
+        with self._started(expected.append) as (state, run):
             stop = _StopOnRequest()
             with caught(stop.handle), EventLog(run.folder) as log:
-                told = train(
+                emitted = train(
                     state,
                     run.folder,
                     should_stop=lambda: stop.requested,
@@ -119,16 +119,16 @@ class Train:
                     checkpoint_seconds=self.checkpoint_seconds,
                     between=Tidying(state),
                 )
-                # Closed while it can still be told what fails: it saves on its way out.
-                with closing(told):
-                    for event in told:
+                # Closing saves, and must be able to log failures.
+                with closing(emitted):
+                    for event in emitted:
                         log.show(_with_time_left(event, expected))
         if state.iteration < run.config.iterations:
-            aside.print(f"stopped; go on with: physhdr train --resume {as_word(run.folder)}")
+            aside.print(f"stopped; to resume: physhdr train --resume {as_word(run.folder)}")
             return 130
         return 0
 
-    def _begun(self, expect: Callable[[Duration], None]) -> AbstractContextManager[tuple[State, Run]]:
+    def _started(self, expect: Callable[[Duration], None]) -> AbstractContextManager[tuple[State, Run]]:
         workshop = Workshop(
             report=aside.print,
             expect=expect,
@@ -157,21 +157,20 @@ class Train:
         )
 
     def _refuse_settings(self, run: Path) -> None:
-        """Raises ``BadValueError`` where something is given that is not read when ``run`` is resumed."""
-        unread = [f"--{name}" for name in given_of(self, "out", "overwrite", "preset")]
+        """Raises ``BadValueError`` for an option that has no effect when resuming ``run``."""
+        unread = [f"--{name}" for name in changed_options(self, "out", "overwrite", "preset")]
         unread += [option(text.partition("=")[0]) for text in self.assignments]
         if unread:
-            counting = ", ".join(f"--{as_typed(name)}" for name in ON_RESUMING)
+            allowed = ", ".join(f"--{option_name(name)}" for name in ON_RESUMING)
             raise BadValueError(
-                f"{unread[0]} has no effect when resuming: the run trains as its own "
-                f"{run / CONFIG_FILE} says",
-                f"Leave it out: of the options only {counting} count then. To train otherwise, begin a new "
+                f"{unread[0]} has no effect when resuming: the run uses its own {run / CONFIG_FILE}",
+                f"Leave it out: only {allowed} have an effect. To train with other settings, start a new "
                 "run: physhdr train DATA --out RUN",
             )
 
 
 def _listed(config: TrainConfig) -> str:
-    """All settings, with what each is in ``config``, what it may be and what it means."""
+    """All settings with their values in ``config``, types and meanings."""
     lines = [
         f"{f'{each.name}={as_text(each.value)}':<44} {type_in_words(each.type)}. {each.meaning}\n"
         for each in settings_of(config)
@@ -180,7 +179,7 @@ def _listed(config: TrainConfig) -> str:
 
 
 def _with_time_left(event: events.Event, expected: list[Duration]) -> events.Event:
-    """The event, its time left by what iterations cost later on, where that is known."""
+    """The event, with its time left corrected for the cost of later iterations where known."""
     if not (expected and isinstance(event, events.Progress)):
         return event
     left = expected[0].left(event.iteration, event.iterations_per_second)
@@ -188,7 +187,7 @@ def _with_time_left(event: events.Event, expected: list[Duration]) -> events.Eve
 
 
 class _StopOnRequest:
-    """Whose ``handle`` at the first signal asks for a stop after the iteration; at a second it interrupts."""
+    """``handle`` requests a stop after the iteration at the first signal, and interrupts at the second."""
 
     def __init__(self) -> None:
         self.requested = False

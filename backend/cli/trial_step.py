@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One training step on a scene that is made up in memory: what ``physhdr check`` computes."""
+"""One training step on a synthetic scene in memory, for ``physhdr check``."""
 
 import math
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from ..scene.source import Decoded, PictureSource, plain
 from ..train.begin import begin
 from ..train.presets import PRESETS, needed_by_presets
 from ..train.trainer import step
-from .findings import CheckFailedError
+from .check_report import CheckFailedError
 
 SIZE, VIEWS, POINTS = 48, 3, 200
 EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)
 ANCHOR = (1.0, 0.5 ** (1.0 / 2.2))
-#: Two renderers may differ by so much of the picture's largest value.
+#: Maximum difference of two renderers, as a fraction of the largest value.
 TOLERANCE = 1e-3
 
 
@@ -42,12 +42,12 @@ def device() -> tuple[str, str]:
 
 
 def compile_for_presets(report: Callable[[str, int, int], None]) -> None:
-    """The kernels of all presets: each then starts at once."""
+    """Compile the kernels of all presets, so that each starts at once."""
     compile_ahead(needed_by_presets(), report)
 
 
 def made_up_scene() -> Scene:
-    """Three cameras side by side that look at a cloud of points."""
+    """Three cameras side by side, looking at a cloud of points."""
     pictures = MadeUpPictures()
     views = []
     for index in range(VIEWS):
@@ -71,8 +71,8 @@ def made_up_scene() -> Scene:
 def one_step(where: str) -> tuple[float, int]:
     """The loss of one step of preset ``default``, and the number of Gaussians.
 
-    Raises ``CheckFailedError`` where the loss is not finite, nothing was learned, or where the fast renderer
-    and the plain one draw different pictures.
+    Raises ``CheckFailedError`` if the loss is not finite, nothing was learned, or the fast and the reference
+    renderer disagree.
     """
     scene = made_up_scene()
     state = begin(scene, PRESETS["default"], device=where)

@@ -20,25 +20,25 @@ from ..train.forecast.size import sized
 from ..train.views import training_exposures
 from .preparing import Preparing
 
-#: The file that the points go into, in the data set's folder.
+#: The file of points in the data set's folder.
 SFM_FILE = "points3d_sfm.ply"
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointOptions:
-    """Of points."""
+    """Points."""
 
-    #: Find points for a data set in any layout that is read, its cameras being known: features of training
-    #: pictures are matched and triangulated. They are as a capture has them: sparse, with outliers and gaps.
+    #: Find points for a data set of any known layout from its cameras: features of training pictures are
+    #: matched and triangulated. As in a capture, points are sparse, with outliers and gaps.
     triangulate: bool = False
-    #: Indices of the exposures that may be seen; each is matched for itself. Default: those that training
-    #: sees, of photographs all.
+    #: Indices of the exposures to use, each matched by itself. Default: those that training uses; of
+    #: photographs all.
     training_exposures: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Triangulate(PointOptions, Preparing):
-    """A data set's points by structure from motion (COLMAP). No pixel of a test view is read."""
+    """Find a data set's points by structure from motion (COLMAP). No pixel of a test view is read."""
 
     overwrite: bool = False
     threads: int = -1
@@ -70,16 +70,16 @@ class Triangulate(PointOptions, Preparing):
         return {"points": len(points.positions), "file": str(out)}
 
     def _check(self, out: Path) -> None:
-        """Raises ``OutputError`` early where ``out`` must not or cannot be written."""
+        """Raises ``OutputError`` early if ``out`` must not or cannot be written."""
         whole("--threads", self.threads, -1, THREADS_MAX)
         if out.exists() and not self.overwrite:
-            raise OutputError(f"{out} is there already", "Give another --out, or --overwrite to replace it.")
+            raise OutputError(f"{out} already exists", "Give another --out, or --overwrite to replace it.")
         if out.exists() and not is_ours(out):
             raise OutputError(
-                f"{out} was not made by 'physhdr prepare --triangulate': it is not replaced",
+                f"not replacing {out}: it was not made by 'physhdr prepare --triangulate'",
                 "Give another --out.",
             )
-        if self.source.is_dir():  # else its reader says what is wrong
+        if self.source.is_dir():  # else its reader reports the fault
             writable_folder(out.parent)
 
     def _report(self, out: Path, points: Triangulated) -> None:

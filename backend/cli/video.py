@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr render`` of videos: along a path of cameras, through exposures, or under changing light."""
+"""``physhdr render`` for videos: along a path of cameras, through exposures, or under changing light."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -20,26 +20,26 @@ from ..evaluate.video import frames_writer, require_suffix, video_writer
 from ..runs.files import writable_folder
 from ..runs.run import open_run
 from ..scene import Camera, Scene
-from .given import given_of, is_folder
-from .lighting import levels_asked
+from .lighting import requested_levels
+from .options import changed_options, is_folder
+from .output import printer, progress
 from .rendering import CameraOptions, LookOptions, Rendering, camera_named
-from .told import progress, saying
 
-#: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
+#: Default range of a lighting sweep: from an eighth to eight times, as the relit truth.
 LIGHT_RANGE = (0.125, 8.0)
 
 
-#: Seconds that a picture stands at most, and the finest that a time is kept.
+#: Maximum duration of a frame in seconds, and largest denominator of a frame rate.
 SLOWEST = 1001
-#: So many pictures of one view are held at once while their exposure changes.
+#: Maximum number of exposures of one view rendered together.
 AT_ONCE = 16
-#: What a file of cameras says itself.
+#: Options that a file of cameras sets itself.
 OF_A_PATH = ("path", "sweep", "lighting_level", "lighting_levels", "seconds", "fps")
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What one frame shows: camera, exposure in seconds, a level for each light."""
+    """Content of one frame: camera, exposure in seconds, a level for each light."""
 
     camera: Camera
     exposure: float
@@ -51,14 +51,14 @@ class VideoOptions:
     """A video, an animated WebP or a folder of numbered pictures, through the learned response: of --camera,
     or along a path while something changes."""
 
-    #: Through the training cameras, round their middle, or standing still (the default of a sweep).
+    #: Path through the training cameras, around their centre, or still (the default with a sweep).
     path: Literal["spline", "orbit", "still"] | None = None
     #: What changes: exposure from the shortest to the longest and back, one light's level, or both: exposure
-    #: in the first half, light in the second, each from where it stands to both ends and back.
+    #: in the first half, light in the second, each from its present value to both ends and back.
     sweep: Literal["none", "exposure", "lighting", "both"] = "none"
-    #: Ends of the sweep: seconds, or levels, of both four; default: the data set's exposures, and ⅛ and 8.
+    #: Ends of the sweep: seconds or levels, or four for both; default: the data set's exposures, and ⅛ and 8.
     sweep_range: tuple[float, float] | tuple[float, float, float, float] | None = None
-    #: Which light a lighting sweep turns; default: the first.
+    #: Which light a lighting sweep changes; default: the first.
     light: str | None = None
     #: Length in seconds.
     seconds: float = 6.0
@@ -67,17 +67,17 @@ class VideoOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
-    """A video (H.264), an animated WebP or numbered pictures, or several of them."""
+    """Render a video (H.264), an animated WebP, numbered pictures, or several of these."""
 
     def work(self) -> dict[str, Any]:
         self._check()
-        say = saying(self.json)
+        say = printer(self.json)
         run = open_run(self.source, self.data, self.rasteriser, self.device, say, pictures=False)
         shots = self.shots_of(run.scene)
         frames = self.plan(run.scene, run.method, shots)
-        # As it is: 24 / 1.001 is no whole number, nor is what is left where Blender renders each tenth frame.
-        told = Fraction(self.fps if shots is None else shots.fps)
-        fps = max(told.limit_denominator(SLOWEST), Fraction(1, SLOWEST))
+        # A fraction: 24 / 1.001 is no integer, nor is the rate if Blender renders every tenth frame.
+        exact = Fraction(self.fps if shots is None else shots.fps)
+        fps = max(exact.limit_denominator(SLOWEST), Fraction(1, SLOWEST))
         with ExitStack() as stack:
             sinks = []
             for out in self.out:
@@ -112,9 +112,9 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
         if self.sweep_range is not None:
             wanted = {"none": 0, "both": 4}.get(self.sweep, 2)
             if len(self.sweep_range) != wanted or not min(self.sweep_range) > 0.0:
-                given = " ".join(f"{end:g}" for end in self.sweep_range)
+                ends = " ".join(f"{end:g}" for end in self.sweep_range)
                 raise BadValueError(
-                    f"--sweep-range {given} with --sweep {self.sweep}",
+                    f"--sweep-range {ends} with --sweep {self.sweep}",
                     "It needs --sweep exposure or lighting and two values above 0, or --sweep both and four: "
                     "the exposures, then the levels.",
                 )
@@ -122,28 +122,29 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
                 is_level = self.sweep == "lighting" or number >= 2
                 (LEVEL if is_level else EXPOSURE).check(end, "an end of --sweep-range")
         self.require_file()
-        if self.camera is not None and (given := given_of(self, *OF_A_PATH)):
+        if self.camera is not None and (changed := changed_options(self, *OF_A_PATH)):
             raise BadValueError(
-                f"--{given[0]}: --camera has every frame's camera, light and time", "Leave it out."
+                f"--{changed[0]} has no effect: --camera sets every frame's camera, light and time",
+                "Leave it out.",
             )
         if not self.lighting_level >= 0.0:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.view is not None and (self.camera is not None or self._path != "still"):
             raise BadValueError(
-                "--view is where a still camera stands, and this one moves",
-                "Leave it out, or take --path still and a --sweep.",
+                "--view is for a still camera, and this one moves",
+                "Leave it out, or give --path still and a --sweep.",
             )
         if self.light is not None and self.sweep not in ("lighting", "both"):
-            raise BadValueError("--light names what --sweep lighting turns", "Add --sweep lighting.")
+            raise BadValueError("--light only works with --sweep lighting", "Add --sweep lighting.")
 
     @property
     def _path(self) -> Literal["spline", "orbit", "still"]:
-        """How the camera moves, but of shots."""
+        """How the camera moves without shots."""
         return self.path or ("spline" if self.sweep == "none" else "still")
 
     @property
     def _count(self) -> int:
-        """How many frames there are, but of shots."""
+        """The number of frames without shots."""
         return round(self.seconds * self.fps)
 
     def shots_of(self, scene: Scene) -> Shots | None:
@@ -151,9 +152,9 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
         return None if self.camera is None else self.shots(scene, self.camera, fewest=2)
 
     def plan(self, scene: Scene, method: Renderer, shots: Shots | None = None) -> list[Frame]:
-        """Every frame, of ``shots`` where there are any.
+        """Every frame, from ``shots`` if given.
 
-        Raises ``BadValueError`` where the scene or the method cannot do what is asked.
+        Raises ``BadValueError`` where the scene or the method cannot do what was requested.
         """
         exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
         exposure = self.exposure or scene.middle_exposure
@@ -169,14 +170,14 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
         count = self._count
         if self._path == "still":
             if self.sweep == "none":
-                raise BadValueError("a still camera shows nothing new", "Add --sweep exposure or lighting.")
+                raise BadValueError("a still camera needs a sweep", "Add --sweep exposure or lighting.")
             cameras = [camera_named(scene, self.view)] * count
         else:
             standing = [view.camera for view in scene.train]
             cameras = (spline_path if self._path == "spline" else orbit_path)(standing, count)
         if self.width is not None:
             cameras = [camera.resized(self.width) for camera in cameras]
-        levels = levels_asked(self.lighting_level, self.lighting_levels, method.lights)
+        levels = requested_levels(self.lighting_level, self.lighting_levels, method.lights)
         times, lit = [exposure] * count, [levels] * count
         ends: tuple[float, ...] = self.sweep_range or ()
         low, high = ends[:2] or (LIGHT_RANGE if self.sweep == "lighting" else (exposures[0], exposures[-1]))
@@ -196,7 +197,7 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
         return [Frame(*each) for each in zip(cameras, times, lit, strict=True)]
 
     def _unchanging(self) -> BadValueError:
-        """Why every frame would be the same, and what to do about it."""
+        """An error explaining why every frame would be the same, and what to do."""
         reasons, remedy = [], "Add --sweep exposure or lighting."
         if self._path != "still":
             reasons.append(f"the training cameras are all in one place, where --path {self._path} stays")
@@ -211,12 +212,12 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
     def _lit(
         self, method: Renderer, levels: tuple[float, ...], swept: Sequence[float]
     ) -> list[tuple[float, ...]]:
-        """``levels`` with each of ``swept`` in the place of the light that is swept."""
+        """``levels`` with each of ``swept`` for the light that changes."""
         which = self._light(method)
         return [(*levels[:which], level, *levels[which + 1 :]) for level in swept]
 
     def _light(self, method: Renderer) -> int:
-        """The place of the light that is swept."""
+        """Index of the light that changes."""
         if not method.can_relight:
             raise BadValueError(
                 "this method cannot relight: a lighting level would only scale the picture, as exposure does",
@@ -226,7 +227,7 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
             return 0
         if self.light not in method.lights:
             raise BadValueError(
-                f"there is no light '{self.light}' in this model", f"Names are: {', '.join(method.lights)}."
+                f"this model has no light '{self.light}'", f"The lights are: {', '.join(method.lights)}."
             )
         return method.lights.index(self.light)
 
@@ -256,7 +257,7 @@ def there_and_back(low: float, high: float, count: int) -> list[float]:
 def round_trip(start: float, low: float, high: float, count: int) -> list[float]:
     """``count`` values from ``start`` up to ``high``, down to ``low`` and back, even in stops.
 
-    The next one would be ``start`` again, or the end that is nearer to it where it lies outside.
+    The next one would be ``start`` again, or the nearer end if it lies outside.
     """
     stops = float(np.log2(high / low))
     begin = float(np.clip(np.log2(start / low) / stops, 0.0, 1.0)) if stops else 0.0

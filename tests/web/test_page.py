@@ -119,7 +119,7 @@ def two_lights(tiny_scene, tmp_path_factory) -> tuple[Path, Path]:
 def test_what_a_page_cannot_show_is_said(tiny_scene, tmp_path, capsys):
     """The paper's preset has local curves and baked levels; anchors are fixed as for every file."""
     data = tiny_scene.write_tiny_scene(tmp_path / "data")
-    for name, remark in (("paper-short", "global curve alone"), ("default-scaffold", "")):
+    for name, remark in (("paper-short", "shows only its global"), ("default-scaffold", "")):
         words = ["train", str(data), "--out", str(tmp_path / name), "--preset", name, "--iterations", "12"]
         assert main(words) == 0
         capsys.readouterr()

@@ -9,7 +9,7 @@ import pytest
 
 from physhdr.backend.cli import check as checks
 from physhdr.backend.cli import trial_step
-from physhdr.backend.cli.findings import MissingModuleError
+from physhdr.backend.cli.check_report import MissingModuleError
 from physhdr.backend.project import requirements
 
 LAUNCHER = Path(checks.__file__).parents[1] / "launch.py"

@@ -170,8 +170,8 @@ def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys
         np.testing.assert_array_equal(radiance, method.hdr(camera, levels).numpy().transpose(1, 2, 0))
 
     asked = [*render, "--lighting-levels"]
-    assert "Names are: ambient, pendant" in fails(capsys, *asked, "pendant")
-    assert "Names are" in fails(capsys, *asked, "pendant=bright")
+    assert "The lights are: ambient, pendant" in fails(capsys, *asked, "pendant")
+    assert "The lights are" in fails(capsys, *asked, "pendant=bright")
     message = fails(capsys, *asked, "sun=2")
     assert "no light 'sun'" in message and "ambient, pendant" in message
     assert "pendant" in fails(capsys, *asked, "pendant=-1")
@@ -366,4 +366,4 @@ def test_a_working_folder_that_is_gone_is_named(tmp_path):
     gone.mkdir()
     command = f"rmdir {shlex.quote(str(gone))}; {shlex.join([sys.executable, '-c', MAIN])} inspect data"
     done = subprocess.run(["sh", "-c", command], cwd=gone, capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and "called in is not there" in done.stderr
+    assert done.returncode == 1 and "working folder no longer exists" in done.stderr

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.confidence import GAP, LEGEND, on_gaussians_and_sure, write_calibration
+from physhdr.backend.cli.confidence import GAP, LEGEND, gaussians_with_confidence, write_calibration
 from physhdr.backend.export.confidence import confidence_picture
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.camera import Camera
@@ -104,7 +104,7 @@ def test_in_all_directions_it_is_what_a_camera_sees(run, tmp_path):
     assert sure.shape == (32, 64) and Image.open(tmp_path / "sky.png").size == (64, 32 + GAP + LEGEND)
     assert (sure[:, 40:56] == 0.0).all()
     opened = open_run(run, pictures=False)
-    method, found = on_gaussians_and_sure(opened)
+    method, found = gaussians_with_confidence(opened)
     pose = np.eye(4)
     pose[:3, :3] = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # right +X, up +Z, looks at +Y
     pose[:3, 3] = (0.0, -10.0, 0.0)

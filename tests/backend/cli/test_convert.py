@@ -214,7 +214,7 @@ def test_what_usds_radiance_changes_of_display_colours_is_told(tmp_path: Path, c
     write_standard_ply(tmp_path / "a.ply", m.position, m.rotation, m.scale, m.opacity, colours, up="z")
     convert(tmp_path / "a.ply", tmp_path / "b.usdc", "--exposure-ev", 2)
     [told] = re.findall(
-        r"differ by (\S+) \(root mean square, white is 1\). Say --display-colors", words(capsys)
+        r"differ by (\S+) \(root mean square, white is 1\). Give --display-colors", words(capsys)
     )
     convert(tmp_path / "b.usdc", tmp_path / "c.ply", "--exposure-ev", -2)
     directions = rng.normal(size=(4000, 3))
@@ -327,18 +327,18 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
         ("a.sog", [], "read, not written Write .spz"),
         ("a.compressed.ply", [], "compressed PLY can be read, not written"),
         ("a.usdc", ["--up", "colmap"], "--up may be z or y"),
-        ("a.usdc", ["--tone", "learned"], "before any response"),
+        ("a.usdc", ["--tone", "learned"], "without any response"),
         ("a.ply", ["--exposure-ev", "99"], "−30 to 30"),
         ("a.ply", ["--exposure-ev", "nan"], "−30 to 30"),
-        ("a.ply", ["--blend-linear"], "is of glTF"),
-        ("a.ply", ["--display-colors"], "--display-colors is of USD"),
-        ("a.usdc", ["--display-colors"], "has radiance itself"),
+        ("a.ply", ["--blend-linear"], "only works with glTF"),
+        ("a.ply", ["--display-colors"], "--display-colors only works with USD"),
+        ("a.usdc", ["--display-colors"], "has radiance already"),
         ("a.ply", ["--lighting-levels", "moon=1"], "ambient, lamp"),
         ("a.safetensors", ["--lighting-level", "2"], "keeps all of its light"),
         ("a.safetensors", ["--up", "y"], "--up may be z"),
         ("a.ply", ["--data", "x"], "--data only applies to a run"),
-        ("a.ply", ["--spz-version", "3"], "--spz-version is of SPZ"),
-        ("a.ply", ["--color-space", "srgb"], "--color-space is of PLY and others"),
+        ("a.ply", ["--spz-version", "3"], "--spz-version only works with SPZ"),
+        ("a.ply", ["--color-space", "srgb"], "--color-space only works with PLY"),
     ],
 )
 def test_what_does_not_fit_is_refused(model: Path, capsys, out: str, options, told: str) -> None:

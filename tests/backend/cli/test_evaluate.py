@@ -191,8 +191,8 @@ def test_their_results_are_written_beside_the_pictures(trained, tiny_data, tmp_p
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "the folder of a run, or --pictures"),
-        (["RUN", "--pictures", "THEIRS"], "the folder of a run, or --pictures"),
+        ([], "the folder of a run or --pictures"),
+        (["RUN", "--pictures", "THEIRS"], "the folder of a run or --pictures"),
         (["--pictures", "THEIRS"], "--pictures needs the data set"),
         (["RUN", "--downscale", "2"], "--downscale only works with --pictures"),
         (["RUN", "--exposure-mode", "exp1"], "--exposure-mode only works with --pictures"),

@@ -62,8 +62,8 @@ def test_a_program_is_told_how_far_it_is(run, tmp_path, capsys):
     [
         (["a.ply", "--cameras", "nowhere"], "nowhere"),
         (["a.ply", "--cameras", "RUN", "--quick"], "--quick does not fit"),
-        (["a.glb", "--cameras", "RUN", "--blend-linear", "--tone", "srgb"], "is of display colours"),
-        (["a.safetensors", "--quick"], "is of display colours"),
+        (["a.glb", "--cameras", "RUN", "--blend-linear", "--tone", "srgb"], "needs display colours"),
+        (["a.safetensors", "--quick"], "needs display colours"),
     ],
 )
 def test_what_does_not_fit_is_refused(run, tmp_path, capsys, words, message):

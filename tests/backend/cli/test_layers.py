@@ -17,8 +17,8 @@ from physhdr.backend.cli.layers import (
     LONGEST_PASS,
     NOTHING,
     Layers,
-    draw_layers,
     pass_names,
+    render_layers,
     write_layers,
 )
 from physhdr.backend.rasterize import rasterize
@@ -91,7 +91,7 @@ def test_alpha_and_depth_are_the_references_in_float64(run: Path, tmp_path: Path
     whole = open_run(run)
     method, seen = whole.method, whole.scene.test[0].camera
     camera = Camera.from_field_of_view(seen.camera_to_world, 48, 40, 2.4)  # so wide that nothing is round it
-    write_layers(tmp_path / "a.exr", draw_layers(method, camera, (1.0, 1.0)))
+    write_layers(tmp_path / "a.exr", render_layers(method, camera, (1.0, 1.0)))
     planes, _ = opened(tmp_path / "a.exr")
     splats = method.backbone.splats(camera, method.active_sh_degree)
     shape = (splats.means, splats.quaternions, splats.scales, splats.opacities)
@@ -186,15 +186,15 @@ def test_oiiotool_takes_a_light_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--out", "a.png", "--layers"], "--layers are of radiance"),
-        (["--out", "a.exr", "--layers", "--exposure", "2"], "--layers are of radiance"),
+        (["--out", "a.png", "--layers"], "--layers writes radiance"),
+        (["--out", "a.exr", "--layers", "--exposure", "2"], "--layers writes radiance"),
         (
             ["--out", "a.exr", "--layers", "--confidence"],
             "--layers has no effect on a picture of the confidence",
         ),
         (["--out", "a", "--split", "test", "--layers"], "--layers has no effect on all views of a --split"),
-        (["--out", "a.exr", "--exposure", "2"], "--exposure changes nothing about a.exr, which is radiance"),
-        (["--out", "a_#.exr", "--camera", "x.json", "--exposure", "2"], "--exposure changes nothing"),
+        (["--out", "a.exr", "--exposure", "2"], "--exposure has no effect on a.exr, which is radiance"),
+        (["--out", "a_#.exr", "--camera", "x.json", "--exposure", "2"], "--exposure has no effect"),
         (["--out", "a.png", "--exposure", "inf"], "--exposure is inf s: it must be from"),
         (["--out", "a.exr", "--workers", "2"], "--workers only works with --camera"),
         (["--out", "a.exr", "--camera", "x.json", "--view", "test/0"], "--view is one camera"),

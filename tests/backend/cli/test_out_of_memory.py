@@ -119,7 +119,7 @@ def test_a_full_disk_is_told_as_one_and_names_the_run(monkeypatch, capsys, tmp_p
 def test_a_training_that_could_not_write_says_how_it_is_resumed(monkeypatch, capsys, tmp_path):
     refused = OutputError("cannot write the checkpoint", "Free some space, then resume the training.")
     (tmp_path / "checkpoint.safetensors").touch()
-    resume = f"resume the training. Go on with what was saved: physhdr train --resume {tmp_path}"
+    resume = f"resume the training. Resume from the checkpoint: physhdr train --resume {tmp_path}"
     assert resume in told(monkeypatch, capsys, refused, "train", "data", "--out", str(tmp_path))
     assert "--resume" not in told(monkeypatch, capsys, refused, "render", str(tmp_path))
 

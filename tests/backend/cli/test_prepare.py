@@ -259,7 +259,7 @@ def test_what_can_be_wrong_with_photos_and_options(room, tmp_path):
     photos, out = tiny(room, tmp_path / "photos"), tmp_path / "out"
     before = {path.name: path.read_bytes() for path in photos.iterdir()}
     assert "does not exist" in refused(tmp_path / "nowhere", "--out", out)
-    assert "3 are the least" in refused(tiny(room, tmp_path / "four", 4), "--out", out)
+    assert "at least 3 are needed" in refused(tiny(room, tmp_path / "four", 4), "--out", out)
     assert "not plain which of the 5" in refused(tiny(room, tmp_path / "five", 5), "--out", out)
     assert "holds the photos" in refused(photos, "--out", photos)
     assert "holds the photos" in refused(photos, "--out", tmp_path, "--overwrite")
@@ -277,11 +277,14 @@ def test_what_can_be_wrong_with_photos_and_options(room, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--exposures", "a.csv", "--same-exposure"], "--exposures and --same-exposure say two things"),
-        (["--group", "none", "--bracket", 3], "--bracket 3 changes nothing about --group none"),
-        (["--group", "names", "--bracket", 2], "--bracket 2 changes nothing about --group names"),
-        (["--poses", "model", "--match", "each"], "--match is of how cameras are found"),
-        (["--poses", "model", "--camera", "RADIAL"], "--camera is of how cameras are found"),
+        (
+            ["--exposures", "a.csv", "--same-exposure"],
+            "--exposures and --same-exposure contradict each other",
+        ),
+        (["--group", "none", "--bracket", 3], "--bracket 3 has no effect with --group none"),
+        (["--group", "names", "--bracket", 2], "--bracket 2 has no effect with --group names"),
+        (["--poses", "model", "--match", "each"], "--match is for finding cameras"),
+        (["--poses", "model", "--camera", "RADIAL"], "--camera is for finding cameras"),
     ],
 )
 @pytest.mark.parametrize("look", [[], ["--look"]])
@@ -296,7 +299,7 @@ def test_what_the_panel_sends_together_is_no_error(room, tmp_path, monkeypatch, 
     photos = tiny(room, tmp_path / "photos")
     words = ["--bracket", 2, "--max-width", 1600, "--camera", "OPENCV", "--borrow-poses", "--partial"]
     assert "COLMAP would run" in refused(photos, tmp_path / "out", *words)
-    assert "without --handheld it changes nothing" in " ".join(capsys.readouterr().out.split())
+    assert "--borrow-poses has no effect without --handheld" in " ".join(capsys.readouterr().out.split())
 
 
 def test_what_is_there_is_not_replaced_unasked(room, tmp_path):
@@ -484,7 +487,7 @@ def test_hand_held_brackets_and_black_photos_that_borrow(room, tmp_path, capsys)
     words = ["--handheld", "--borrow-poses", "--test-every", 3, "--camera", "RADIAL"]
     assert prepare(folder, out, *words) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "2 photos took the pose of their bracket's next one: H10, H40" in said
+    assert "2 photos took the pose of the next in their bracket: H10, H40" in said
     origin = json.loads((out / "prepare.json").read_text())
     assert origin["kind"] == "handheld" and origin["borrowed"] == {"H10": "H11", "H40": "H41"}
     scene = read_scene(out)
@@ -600,7 +603,7 @@ def test_masks_that_hide_everything_are_told(room, tmp_path, monkeypatch, capsys
     monkeypatch.setattr("physhdr.backend.cli.photos.recover", stopped)
     refused(photos, "--out", tmp_path / "out")
     said = " ".join(capsys.readouterr().out.split())
-    assert "nothing is looked at of photos whose masks are black all over: IMG_0.jpg, IMG_1.jpg" in said
+    assert "ignoring photos whose masks are entirely black: IMG_0.jpg, IMG_1.jpg" in said
     assert "IMG_2.jpg" not in said
 
 
@@ -626,7 +629,7 @@ def test_errors_are_json_too(room, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--triangulate", "--layout", "colmap"], "make two things"),
+        (["--triangulate", "--layout", "colmap"], "exclude each other"),
         (["--triangulate", "--handheld"], "--handheld has no effect on the points of a data set"),
         (["--layout", "colmap", "--overwrite"], "--overwrite has no effect on a data set for other programs"),
         (["--link"], "--link has no effect on a data set of photos"),

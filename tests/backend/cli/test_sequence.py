@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.sequence import Frame, Opened, WorkerError, draw_at_once, numbered, plan_file
+from physhdr.backend.cli.sequence import Frame, Opened, WorkerError, numbered, plan_file, render_in_parallel
 from physhdr.backend.runs.run import Run, open_run
 from physhdr.backend.scene import Scene
 from physhdr.backend.scene.pictures import read_exr
@@ -101,7 +101,7 @@ def test_frames_of_somebody_else_stay(run: Path, scene: Scene, tmp_path: Path, c
     (tmp_path / "a_0001.exr").write_text("mine")
     words = ["--camera", shots_of(scene, tmp_path / "shots.json")]
     assert render(run, tmp_path / "a_####.exr", *words) == 1
-    assert "nothing says what it shows" in capsys.readouterr().err
+    assert "its content is unknown" in capsys.readouterr().err
     assert (tmp_path / "a_0001.exr").read_text() == "mine" and len(stamps(tmp_path)) == 1
     plan = plan_file(tmp_path / "b_#.exr")
     plan.write_text('{"format": "other"}')
@@ -159,14 +159,14 @@ def test_a_worker_that_fails_is_heard(scene: Scene, tmp_path: Path) -> None:
     opened = Opened(tmp_path / "no run", None, "auto", "cpu", "")
     frames = [Frame(tmp_path / "0.exr", scene.train[0].camera, 1.0, (1.0, 1.0))]
     with pytest.raises(WorkerError, match=r"a worker failed: error: .*no run"):
-        draw_at_once(opened, frames, 1, 1, None, lambda done, total, what: None)
+        render_in_parallel(opened, frames, 1, 1, None, lambda done, total, what: None)
 
 
 def test_a_worker_draws_no_other_model(run: Path, scene: Scene, tmp_path: Path) -> None:
     opened = Opened(run, None, "auto", "cpu", "0" * 64)
     frames = [Frame(tmp_path / "0.exr", scene.train[0].camera, 1.0, (1.0, 1.0))]
-    with pytest.raises(WorkerError, match="changed while its frames were drawn"):
-        draw_at_once(opened, frames, 1, 1, None, lambda done, total, what: None)
+    with pytest.raises(WorkerError, match="changed while its frames were rendered"):
+        render_in_parallel(opened, frames, 1, 1, None, lambda done, total, what: None)
     assert not list(tmp_path.iterdir())
 
 

@@ -213,7 +213,7 @@ def test_nothing_is_looked_for_where_pictures_are_masked(room, tmp_path):
 
 
 def test_points_that_are_there_are_replaced_if_they_are_ours_and_one_says_so(with_points, tmp_path):
-    assert "points3d_sfm.ply is there already" in refused(with_points)
+    assert "points3d_sfm.ply already exists" in refused(with_points)
     other = tmp_path / "scan.ply"
     other.write_bytes(
         (with_points / SFM).read_bytes().replace(b"structure from motion", b"structure from a scan")

@@ -302,8 +302,8 @@ def test_what_is_no_file_is_not_replaced(tmp_path, never_waits, kind):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--web",), "does not say where"),
-        ((), "nothing says what to make of it"),
+        (("--web",), "--web needs an output"),
+        ((), "no output was given"),
         (("out.html", "--exposure-ev", "2"), "--exposure-ev has no effect on a web page"),
         (("out", "--web", "--lighting-levels", "ambient=2"), "--lighting-levels"),
         (("out", "--web", "--data", "x"), "--data"),

@@ -194,7 +194,7 @@ def test_two_trainings_in_one_folder(tiny_data, tmp_path, capsys):
     finally:
         first.send_signal(signal.SIGTERM)  # as a cluster ends a job: it saves
     said, _ = first.communicate(timeout=60)
-    assert first.returncode == 130 and "go on with: physhdr train --resume" in said
+    assert first.returncode == 130 and "to resume: physhdr train --resume" in said
     assert int(load_checkpoint(run / CHECKPOINT)[1]["iteration"]) >= max(map(int, reached))
     assert not [path for path in run.iterdir() if path.name.startswith((".", "training."))]
 

@@ -294,7 +294,7 @@ def test_radiance_is_developed(tmp_path: Path, layouts) -> None:
     [
         (("--exposure", "7"), r"no training view has exposure 7\n.*0, 1, 2, 3, 4"),
         (("--exposure", "-1"), "--exposure counts from 0"),
-        (("--brackets", "--exposure", "1"), "--exposure is of one picture"),
+        (("--brackets", "--exposure", "1"), "--exposure is one picture per pose"),
     ],
 )
 def test_what_cannot_be_written(tiny_data: Path, tmp_path: Path, options, message, capsys) -> None:

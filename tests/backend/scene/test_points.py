@@ -60,7 +60,7 @@ def test_inspect_and_a_benchmarks_conditions_say_it(tiny_data, tmp_path, capsys)
     data = tmp_path / "data"
     shutil.copytree(tiny_data, data)
     assert main(["inspect", str(data)]) == 0
-    assert "points 60: their file does not say of what kind" in " ".join(capsys.readouterr().out.split())
+    assert "points 60: of unknown origin" in " ".join(capsys.readouterr().out.split())
     assert "60 points of its own (kind unknown)" in scene_line("night", dataclasses.asdict(inspect(data)))
     path = data / "points3d.ply"
     path.write_bytes(path.read_bytes().replace(b"\nelement", f"\ncomment {OF_SYNTH[0]}\nelement".encode(), 1))

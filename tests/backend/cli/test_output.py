@@ -17,8 +17,8 @@ import torch
 from PIL import Image
 
 from physhdr.backend import cli
+from physhdr.backend.cli import error_report, main
 from physhdr.backend.cli import evaluate as evaluate_command
-from physhdr.backend.cli import main, words
 from physhdr.backend.cli import video as video_command
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.runs.run import Run
@@ -119,7 +119,7 @@ def test_shots_have_a_path_and_lights_of_their_own(opened, tmp_path, capsys) -> 
         "--json",
     ]
     assert main(arguments) == 1
-    assert "--path: --camera has every frame's camera" in told(capsys)[0]["error"]["message"]
+    assert "--path has no effect: --camera sets every frame" in told(capsys)[0]["error"]["message"]
     frames = [Shot(np.eye(4), 20.0, 20.0, 16.0, 8.0, 0.0, (1.0, 1.0, 1.0))] * 2
     write_shots(tmp_path / "three.json", Shots(32, 16, 12.0, frames))
     out = ["--out", str(tmp_path / "a.webp")]
@@ -156,7 +156,7 @@ def failing(monkeypatch, command: str, error: BaseException) -> list[str]:
 
     argv, where = COMMANDS[command]
     monkeypatch.setattr(f"physhdr.backend.cli.{where}", fail)
-    monkeypatch.setattr(words, "address_limit", lambda: None)
+    monkeypatch.setattr(error_report, "address_limit", lambda: None)
     return argv
 
 

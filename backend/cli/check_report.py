@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What ``physhdr check`` finds: versions, the device, seconds; or what is missing or does not work.
+"""The report of ``physhdr check``: versions, the device, seconds; or what is missing or does not work.
 
-Standard library only: what is missing may be anything else.
+Standard library only, because anything else may be missing.
 """
 
 import platform
@@ -15,18 +15,18 @@ from ...bridge.errors import PhysHDRError
 
 
 class MissingModuleError(PhysHDRError):
-    """A module that the backend needs is not there, or cannot be loaded."""
+    """A module that the backend needs is missing or cannot be loaded."""
 
 
 class CheckFailedError(PhysHDRError):
-    """Everything is there, but the backend does not compute what it should."""
+    """Everything is installed, but the backend computes wrong results."""
 
 
 @dataclass
-class Findings:
-    """What the check found; grows while it runs. ``seconds``: by part.
+class CheckReport:
+    """What the check has found so far. ``seconds``: by part.
 
-    ``missing``: requirements of ``physhdr prepare`` that cannot be imported; training does without them.
+    ``missing``: requirements of ``physhdr prepare`` that cannot be imported; training does not need them.
     """
 
     python: str = platform.python_version()
