@@ -26,16 +26,16 @@ from ..scene.camera import Camera
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 KINDS = (
-    f"It must be a file of Blender's panel ({FORMAT}), nerfstudio's camera path (JSON), or a USD stage with "
-    "a camera; an Alembic camera is imported in Blender first."
+    f"Give a file of Blender's panel ({FORMAT}), nerfstudio's camera path (JSON), or a USD stage with a "
+    "camera; import Alembic cameras into Blender first."
 )
-#: What to do about a file that is not as it must be.
-SPACE = "nerfstudio writes dataparser_transforms.json beside config.yml of a training: take that file."
-POSES = "It says what ns-process-data did to the cameras: name the run's data set with --data."
+#: Remedies for invalid files.
+SPACE = "Give the dataparser_transforms.json that nerfstudio writes next to a training's config.yml."
+POSES = "It stores what ns-process-data did to the cameras: give the run's data set with --data."
 APERTURE = "Fix that camera's sensor (its film's size), and export it again."
-#: nerfstudio's camera paths without a word about it play so fast.
+#: Frame rate of nerfstudio's camera paths that state none.
 NERFSTUDIO_FPS = 24.0
-#: A USD stage whose pieces are not rigid beyond this is not of a camera that can be drawn.
+#: A USD camera whose axes differ in length by more than this share must have orthogonal ones.
 SHEAR = 1e-4
 
 
@@ -47,26 +47,24 @@ def read_camera_file(
     fewest: int = 1,
     poses: Path | None = None,
 ) -> Shots:
-    """The frames of a file of any of the kinds. ``like``: its width is that of files that tell none.
+    """The frames of a file of any of the kinds. ``like``: its width is used for files that state none.
 
-    ``prim``: which of a stage's cameras, by its path or name. ``space``: nerfstudio's
-    ``dataparser_transforms.json`` of the training whose viewer made the path: what it did to the world is
-    taken back. ``poses``: the ``transforms.json`` that our world is of, where it is of one. Raises
-    ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names the file,
-    ``PackageMissingError`` where a USD stage needs usd-core.
+    ``prim``: which of a stage's cameras, by path or name. ``space``: nerfstudio's
+    ``dataparser_transforms.json`` of the training whose viewer made the path, whose transform is undone.
+    ``poses``: the ``transforms.json`` that our world comes from, if any. Raises ``FileMissingError``,
+    ``FileDamagedError`` or ``BadValueError`` naming the file, ``PackageMissingError`` if a USD stage needs
+    usd-core.
     """
     path = regular_file(Path(path), KINDS)
     is_usd = path.suffix.lower() in USD_SUFFIXES
     if prim is not None and not is_usd:
         raise BadValueError(f"{path} has no prims: --camera-prim is for USD", "Leave it out.")
     if is_usd:
-        if space is not None:
-            raise BadValueError("--camera-space is of nerfstudio's paths", "Leave it out.")
+        _refuse_space(space)
         return _require_count(path, _usd(path, like, prim), fewest)
     content = read_json_object(path, KINDS)
     if content.get("format") == FORMAT:
-        if space is not None:
-            raise BadValueError("--camera-space is of nerfstudio's paths", "Leave it out.")
+        _refuse_space(space)
         shots = read_shots(path, fewest)
         for index, shot in enumerate(shots.frames):
             rigid_pose(path, shot.camera_to_world, str(index))
@@ -76,11 +74,16 @@ def read_camera_file(
     return _require_count(path, _nerfstudio(path, content, _world_of(space, poses)), fewest)
 
 
+def _refuse_space(space: Path | None) -> None:
+    if space is not None:
+        raise BadValueError("--camera-space only works with nerfstudio's paths", "Leave it out.")
+
+
 def _require_count(path: Path, shots: Shots, fewest: int) -> Shots:
     if not fewest <= len(shots.frames) <= MOST_FRAMES:
         raise BadValueError(
             f"{path} has {len(shots.frames)} frames: it must have from {fewest} to {MOST_FRAMES}",
-            "Make the path again with so many.",
+            "Make the path again with as many.",
         )
     return shots
 
@@ -89,12 +92,12 @@ def _require_count(path: Path, shots: Shots, fewest: int) -> Shots:
 
 
 def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, float]) -> Shots:
-    """``camera_path`` of the viewer's *Export Camera Path* (``ns-render camera-path`` draws the same)."""
+    """``camera_path`` of the viewer's *Export Camera Path* (as for ``ns-render camera-path``)."""
     kind = content.get("camera_type", "perspective")
     if kind != "perspective":
         raise BadValueError(
-            f"{path} is of the camera type {kind!r:.40}, and only perspective ones are drawn",
-            "Make the path with a perspective camera; panoramas are drawn by physhdr render --at.",
+            f"{path} has the camera type {kind!r:.40}: only perspective ones are supported",
+            "Make the path with a perspective camera; for panoramas use physhdr render --at.",
         )
     sides = []
     for key in ("render_width", "render_height"):
@@ -133,7 +136,7 @@ def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, fl
 
 
 def _square(values: Any) -> Any:
-    """A 4×4 matrix where 16 numbers stand in a row, the first row first."""
+    """A list of 16 numbers, row by row, as a 4×4 matrix; anything else unchanged."""
     if isinstance(values, list) and len(values) == 16:
         return [values[at : at + 4] for at in range(0, 16, 4)]
     return values
@@ -142,8 +145,8 @@ def _square(values: Any) -> Any:
 def _world_of(space: Path | None, poses: Path | None) -> tuple[np.ndarray, float]:
     """``[4, 4]`` and a factor: x' = factor · (matrix x), from our world to that of a nerfstudio training.
 
-    The training notes all that was done since the cameras were found. What ns-process-data has done of it,
-    ``applied_…``, is in the poses of ``transforms.json`` already: our world is the one after it.
+    The training records everything done since the cameras were found. The part done by ns-process-data,
+    ``applied_…``, is already in the poses of ``transforms.json``: our world is the one after it.
     """
     if space is None:
         return np.eye(4), 1.0
@@ -177,20 +180,20 @@ def _similarity(
 
 
 def _usd(path: Path, like: Camera, prim: str | None) -> Shots:
-    """A stage's camera at each of its time codes; once where it says no range of them."""
+    """A stage's camera at each of its time codes; once if it has no range of them."""
     needed("pxr", "usd-core", f"{path.name}: a USD camera")
-    told, arrays = apart(path, camera_of, str(path), prim, MOST_FRAMES, KINDS)
-    to_world = _blender_world(path, told["up"], told["metres"])
+    found, arrays = apart(path, camera_of, str(path), prim, MOST_FRAMES, KINDS)
+    to_world = _blender_world(path, found["up"], found["metres"])
     for wide, high in arrays["lenses"][:, :2]:
         if not all(math.isfinite(side) and side > 0.0 for side in (wide, high)):
-            raise BadValueError(f"{path}: {told['path']} has an aperture of {wide:g}×{high:g}", APERTURE)
+            raise BadValueError(f"{path}: {found['path']} has an aperture of {wide:g}×{high:g}", APERTURE)
     wide, high = map(float, arrays["lenses"][0, :2])
     width, height = like.width, max(1.0, like.width * high / wide)
     if height > LARGEST_SIDE:
         raise BadValueError(
             f"{path}: an aperture of {wide:g}×{high:g} gives {height:g} rows of pixels", APERTURE
         )
-    for time, perspective in zip(arrays["times"], told["perspective"], strict=True):
+    for time, perspective in zip(arrays["times"], found["perspective"], strict=True):
         if not perspective:
             raise BadValueError(
                 f"{path}: the camera is orthographic at {time:g}", "Make it a perspective one."
@@ -199,7 +202,7 @@ def _usd(path: Path, like: Camera, prim: str | None) -> Shots:
         _usd_shot(path, float(time), to_world @ pose, lens.tolist(), width, round(height))
         for time, pose, lens in zip(arrays["times"], arrays["poses"], arrays["lenses"], strict=True)
     ]
-    fps = told["fps"]
+    fps = found["fps"]
     return Shots(width, round(height), fps if 0.0 < fps <= 240.0 else NERFSTUDIO_FPS, frames)
 
 
@@ -220,9 +223,9 @@ def _usd_shot(
     if not (np.isfinite(pose).all() and lengths.min() > 0.0):
         raise BadValueError(
             f"{path}: the camera's matrix at {time:g} is flat or not finite",
-            "Give it and what it is parented to a scale other than 0 along every axis.",
+            "Give it and its parents a scale other than 0 along every axis.",
         )
-    pose[:3, :3] /= lengths  # its own scale does nothing to what it sees
+    pose[:3, :3] /= lengths  # a camera's own scale does not change its image
     if np.ptp(lengths) > SHEAR * lengths.max() and not is_rotation(pose[:3, :3]):
         raise BadValueError(f"{path}: the camera is sheared at {time:g}", "Unparent it, or apply the scale.")
     pose = rigid_pose(path, pose, f"{time:g}")
@@ -230,7 +233,7 @@ def _usd_shot(
     fx, fy = width * focal_length / wide, height * focal_length / high
     for focal in (fx, fy):
         FOCAL_LENGTH.check(focal, f"{path}: the focal length at {time:g}")
-    # The window is moved by the offset, so the axis meets the picture on the other side of the middle.
+    # The offset moves the window, so the axis meets the image on the other side of the centre.
     cx = width * (0.5 - right / wide)
     cy = height * (0.5 + upward / high)
     for centre in (cx, cy):

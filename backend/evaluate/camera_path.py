@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Paths of cameras for videos: smoothly through the cameras of a data set, or round the middle of them.
+"""Paths of cameras for videos: smoothly through the cameras of a data set, or around their centre.
 
-And what the frames of a file (``camera_file.py``) show.
+Also the cameras and light levels of a file's frames (``camera_file.py``).
 """
 
 from collections.abc import Sequence
@@ -16,20 +16,20 @@ from ..scene.camera import Camera
 
 #: Two poses nearer than this share of the cameras' extent are one stop of a path.
 SAME_STOP = 1e-4
-#: An orbit passes this far out among the cameras; √2 of their deviation is the radius of an even ring.
+#: Radius of an orbit in standard deviations of the cameras; √2 is that of an even ring.
 ORBIT_REACH = np.sqrt(2.0)
 #: Below this the optical axes are too parallel to meet (a mean squared sine).
 AXES_MEET = 2e-3
-#: Where they do not, what is looked at is so many of the cameras' extents away.
+#: Distance of the focus for parallel axes, in extents of the cameras.
 FAR = 3.0
 
 
 def spline_path(cameras: Sequence[Camera], frames: int, closed: bool = False) -> list[Camera]:
     """``frames`` cameras at even speed along a cubic spline through the positions, rotations slerped.
 
-    The cameras are visited along a short way found through them, not in the order of their names, which
-    jumps from row to row of a rig. ``closed``: back to the first one, for a video that is looped. Size and
-    lens are the first camera's. Raises ``BadValueError`` for no cameras or fewer than two frames.
+    The cameras are visited along a short path, not in the order of their names, which jumps from row to row
+    of a rig. ``closed``: back to the first one, for a looped video. Size and lens are the first camera's.
+    Raises ``BadValueError`` for no cameras or fewer than two frames.
     """
     _require(cameras, frames)
     positions = np.array([camera.position for camera in cameras])
@@ -42,24 +42,25 @@ def spline_path(cameras: Sequence[Camera], frames: int, closed: bool = False) ->
     metres = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     turns = Rotation.from_matrix(rotations[:-1].transpose(0, 2, 1) @ rotations[1:]).magnitude()
     steps = np.hypot(metres, extent * turns)
-    kept = np.r_[True, steps > SAME_STOP * extent]
-    positions, rotations, at = positions[kept], rotations[kept], np.r_[0.0, np.cumsum(steps)][kept]
+    distinct = np.r_[True, steps > SAME_STOP * extent]
+    at = np.r_[0.0, np.cumsum(steps)][distinct]
+    positions, rotations = positions[distinct], rotations[distinct]
     if len(positions) < 2:
         return [cameras[order[0]]] * frames
     if closed:
         positions[-1] = positions[0]
     spline = CubicSpline(at, positions, bc_type="periodic" if closed and len(at) > 2 else "not-a-knot")
     turn = Slerp(at, Rotation.from_matrix(rotations))
-    # Way and turn between stops are what ``at`` counts, so even steps of it are an even speed.
+    # ``at`` measures distance and turn between stops, so even steps of it are an even speed.
     times = np.linspace(at[0], at[-1], frames, endpoint=not closed)
     return [_posed(cameras[0], spline(t), turn(t).as_matrix()) for t in times]
 
 
 def orbit_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
-    """``frames`` cameras once round an ellipse among the given ones, looking at what they look at; closed.
+    """``frames`` cameras on a closed ellipse among the given ones, looking at their common focus.
 
-    The ellipse lies along the two main directions in which the positions spread: round an object that the
-    cameras surround, a wave in front of a scene that they face. Raises as ``spline_path``.
+    The ellipse lies along the two main directions in which the positions spread: around an object that the
+    cameras surround, in front of a scene that they face. Raises as ``spline_path``.
     """
     _require(cameras, frames)
     positions = np.array([camera.position for camera in cameras])
@@ -76,7 +77,7 @@ def orbit_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
 
 
 def camera_of(shot: Shot, shots: Shots, width: int | None = None) -> Camera:
-    """The camera of one of ``shots``' frames, as wide as asked for."""
+    """The camera of one of ``shots``' frames, resized to ``width`` if given."""
     size = shots.width, shots.height
     camera = Camera(shot.camera_to_world, *size, shot.fx, shot.fy, shot.cx, shot.cy)
     return camera if width is None else camera.resized(width)
@@ -125,7 +126,7 @@ def _distances(positions: np.ndarray, rotations: np.ndarray, extent: float) -> n
 
 
 def _short_way(distances: np.ndarray) -> list[int]:
-    """An order of all stops along a short open way: the nearest next one, then 2-opt until nothing gains."""
+    """An order of all stops along a short open path: nearest neighbours, improved by 2-opt."""
     way = [0]
     left = set(range(1, len(distances)))
     while left:
@@ -136,7 +137,7 @@ def _short_way(distances: np.ndarray) -> list[int]:
         improved = False
         for i in range(len(way) - 1):
             for j in range(i + 1, len(way)):
-                # Reverse way[i..j]; at an end of the way there is no edge to pay for.
+                # Reverse way[i..j]; at an end of the path there is no edge.
                 before = distances[way[i - 1], way[i]] if i else 0.0
                 before += distances[way[j], way[j + 1]] if j + 1 < len(way) else 0.0
                 after = distances[way[i - 1], way[j]] if i else 0.0

@@ -2,7 +2,7 @@
 """Many evaluations side by side: methods × scenes × settings × seeds → one table, as Markdown, CSV or rich.
 
 A number is first averaged over the seeds of a scene, then over scenes. Its spread is the sample standard
-deviation, over the seeds, of the mean over scenes: what another seed would have changed in what is printed.
+deviation, over the seeds, of the mean over scenes: how much another seed changes the printed number.
 """
 
 import csv
@@ -27,7 +27,7 @@ from .published import published_means
 from .results import NOVEL_EXPOSURES
 
 FORMAT, VERSION = "physhdr-evaluation", 1
-#: What an empty cell of a table shows: not measured.
+#: An empty cell of a table: not measured.
 NONE = "–"
 
 Grouping = Literal["data_set", "setting", "scene"]
@@ -37,9 +37,9 @@ Grouping = Literal["data_set", "setting", "scene"]
 class ComparedRun:
     """One evaluated run. ``setting``: exp1, exp3. ``evaluation``: what ``load_evaluation`` returns.
 
-    ``cost``: what it took, by any names (``cpu_seconds``, ``iterations``, ``gaussians``), for the columns
-    ``cost.NAME``. ``published``: a paper's number, shown in italics beside ours and never ranked. ``shows``:
-    what the data set is of, equal for those of one room alone; empty: it is the only one of its room.
+    ``cost``: by any names (``cpu_seconds``, ``iterations``, ``gaussians``), for the columns ``cost.NAME``.
+    ``published``: a paper's number, shown in italics with ours and never ranked. ``shows``: an id of the
+    room in the data set, shared by data sets of the same room; empty: it is the only one of its room.
     """
 
     method: str
@@ -53,14 +53,14 @@ class ComparedRun:
 
     @property
     def data_set(self) -> str:
-        """The published benchmark that the scene is of, else ``""``."""
+        """The published benchmark that the scene belongs to, else ``""``."""
         return str(self.evaluation.get("conditions", {}).get("data_set") or "")
 
     @property
     def room(self) -> str:
-        """What its data set shows: several, such as a camera's with and without noise, may be of one room.
+        """The room in its data set: several data sets, for example with and without noise, may share one.
 
-        A published benchmark's scene by its name, however it is laid out.
+        For published benchmarks the scene's name, in any layout.
         """
         if self.data_set:
             return f"{self.data_set}: {str(self.evaluation['conditions'].get('scene') or self.scene).lower()}"
@@ -68,7 +68,7 @@ class ComparedRun:
 
     @property
     def saw_novel_exposures(self) -> bool:
-        """Whether its training, as far as its evaluation says, saw exposures that LDR-NE is of."""
+        """Whether its training, according to its evaluation, used exposures of LDR-NE."""
         match self.evaluation.get("conditions", {}):
             case {"training_exposures": [*places]}:
                 return any(place in NOVEL_EXPOSURES for place in places)
@@ -76,7 +76,7 @@ class ComparedRun:
 
 
 def load_evaluation(path: Path | str) -> dict[str, Any]:
-    """The content of an ``evaluation.json``, given as the file or as the folder of its run.
+    """The content of an ``evaluation.json``; ``path``: the file or the folder of its run.
 
     Raises ``FileMissingError``, or ``FileDamagedError`` where it is not an evaluation of this version.
     """
@@ -108,14 +108,14 @@ METRICS: dict[str, tuple[str, int, Better]] = {
     "lpips": ("LPIPS", 4, "lower"),
     "lpips_01": ("LPIPS 01", 4, "lower"),
 }
-#: The absolute scale of the radiance: its mean, in which errors to either side cancel, and how far it is off.
+#: The absolute scale of the radiance: its mean, in which errors may cancel, and its error.
 SCALE = ("scale", "scale_error")
-#: What a table shows unless asked otherwise: the paper's columns, and whether the scale is right.
+#: Default columns: the paper's, and whether the scale is right.
 PAPER_METRICS = tuple(
     f"{part}.{metric}" for part in ("LDR-OE", "LDR-NE", "HDR") for metric in ("psnr", "ssim", "lpips_01")
 )
 DEFAULT_METRICS = (*PAPER_METRICS, *SCALE)
-#: What fits a terminal of 80 columns with spreads.
+#: Columns that fit an 80-column terminal with spreads.
 SHORT_METRICS = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "scale")
 
 
@@ -150,7 +150,7 @@ class Column:
         return float(value) if is_number(value) else None
 
     def text(self, value: float, mean: float | None = None) -> str:
-        """As the tables print it; a spread with as many decimals as its ``mean``."""
+        """The printed value; a spread has as many decimals as its ``mean``."""
         digits = self.digits
         if digits is None:
             size = abs(value if mean is None else mean)
@@ -164,12 +164,12 @@ class Column:
 
 
 def _percent_off(scale: object) -> float | None:
-    """Half as bright is as far off as twice; None of what is no scale, or black."""
+    """Symmetric: half and twice as bright are equally far off; None for black or no scale."""
     return 100.0 * abs(math.log(scale)) if is_number(scale) and scale > 0.0 else None
 
 
 def column(key: str) -> Column:
-    """The column named ``key``; raises ``BadValueError`` naming those there are."""
+    """The column named ``key``; raises ``BadValueError`` listing the columns."""
     part, _, metric = key.partition(".")
     if part in PARTS and metric in METRICS:
         heading, digits, better = METRICS[metric]
@@ -187,8 +187,8 @@ def column(key: str) -> Column:
     if part == "cost" and metric:
         return Column(key, metric.replace("_", " "), None, "neither")
     raise BadValueError(
-        f"there is no column '{key}' in a comparison",
-        f"PART.METRIC, of {', '.join(PARTS)} and {', '.join(METRICS)}; "
+        f"comparisons have no column '{key}'",
+        f"Choose PART.METRIC, of {', '.join(PARTS)} and {', '.join(METRICS)}; "
         "scale, scale_error, response, relit.psnr, relit.gain or cost.NAME.",
     )
 
@@ -200,9 +200,9 @@ def column(key: str) -> Column:
 class Cell:
     """One number: mean and spread (None with fewer than two seeds); how many seeds and which scenes.
 
-    ``seeds``: those that every scene has. ``runs``: all pairs of scene and seed. ``rank``: 1 best of its
-    block, 2 second, 0 neither or not ranked. ``partial``: scenes or seeds are missing that others in the
-    block have, so that it cannot be compared; says what there is (``1 scene``, ``2 runs``), "" where all is.
+    ``seeds``: those common to all scenes. ``runs``: all pairs of scene and seed. ``rank``: 1 best of its
+    block, 2 second, 0 neither or not ranked. ``partial``: what there is (``1 scene``, ``2 runs``) if scenes
+    or seeds are missing that others in the block have, so that it cannot be compared; "" if complete.
     """
 
     mean: float | None
@@ -225,7 +225,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A comparison that can be printed. ``rows`` come block by block; ranks are within a block."""
+    """A printable comparison. ``rows`` are sorted by block; ranks are within a block."""
 
     title: str
     label_headings: tuple[str, ...]
@@ -253,7 +253,7 @@ class Table:
         )
 
     def csv(self) -> str:
-        """One line a row, in full precision: for each column its mean, spread, seeds and scenes."""
+        """One line per row, in full precision: each column's mean, spread, seeds and scenes."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         parts = ("", " spread", " seeds", " scenes")
@@ -310,13 +310,12 @@ def comparison_table(
 ) -> Table:
     """The table of ``entries``: a block for each value of ``group``, a row for each method in it.
 
-    With ``"scene"`` in ``group`` there is a block a scene, else rows are means over scenes. ``published``:
-    the paper's numbers stand below ours where the data set and the scenes are the same. A column without
-    any number is left out unless ``keep_empty``; so is a label column that is the same everywhere, which
-    then stands in the notes. Where evaluations of one scene are of different picture sizes or splits, a note
-    says so and nothing of their block is ranked. Methods, scenes and settings stay in the order of
-    ``entries``. Raises ``BadValueError`` for no entries, two of the same run, an unknown metric, or settings
-    that would be mixed.
+    With ``"scene"`` in ``group`` there is one block per scene, else rows are means over scenes.
+    ``published``: add the paper's numbers below ours for the same data set and scenes. Columns without any
+    number are left out unless ``keep_empty``; a label column that is the same everywhere moves to the notes.
+    If evaluations of one scene differ in picture size or split, a note says so and their block is not
+    ranked. Methods, scenes and settings stay in the order of ``entries``. Raises ``BadValueError`` for no
+    entries, two of the same run, an unknown metric, or mixed settings.
     """
     entries = list(entries)
     _require_comparable(entries, group)
@@ -356,12 +355,12 @@ def comparison_table(
 def published_entries(entries: Iterable[ComparedRun]) -> list[ComparedRun]:
     """The paper's numbers for each (data set, scene, setting) of ``entries``; [] where it has none.
 
-    None stand beside trainings alone that have seen what the paper's have not.
+    Also none where all trainings used exposures that the paper's did not.
     """
     fair = [entry for entry in entries if not entry.saw_novel_exposures]
-    there = dict.fromkeys((entry.data_set, entry.scene, entry.setting) for entry in fair)
+    keys = dict.fromkeys((entry.data_set, entry.scene, entry.setting) for entry in fair)
     found = []
-    for data_set, scene, setting in there:
+    for data_set, scene, setting in keys:
         for method, means in published_means(data_set, scene, setting).items():
             evaluation = {"means": means, "conditions": {"data_set": data_set}}
             found.append(
@@ -379,13 +378,13 @@ def _require_comparable(entries: list[ComparedRun], group: Sequence[Grouping]) -
         if run in seen:
             raise BadValueError(
                 f"two runs of {entry.method} on {entry.scene}, {entry.setting}, seed {entry.seed}",
-                "Give each run once, or name the methods apart.",
+                "Give each run once, or give the methods different names.",
             )
         seen.add(run)
     settings = sorted({entry.setting for entry in entries})
     if "setting" not in group and len(settings) > 1:
         raise BadValueError(
-            f"a mean over the settings {', '.join(settings)} would mean nothing", "Put 'setting' into group."
+            f"a mean over the settings {', '.join(settings)} is meaningless", "Add 'setting' to group."
         )
 
 
@@ -407,7 +406,7 @@ def _cell(each: Column, runs: list[ComparedRun]) -> Cell:
 
 
 def _different_pictures(runs: list[ComparedRun]) -> list[str]:
-    """A line for each scene whose evaluations, as far as they say, are not of the same pictures."""
+    """A line for each scene whose evaluations do not state the same pictures."""
     sizes: dict[tuple[str, str], dict[str, list[str]]] = {}
     views: dict[tuple[str, str], dict[frozenset[str], list[str]]] = {}
     for run in runs:
@@ -417,23 +416,23 @@ def _different_pictures(runs: list[ComparedRun]) -> list[str]:
                 pictures = f"{conditions.get('split', 'test')} at {width}×{height}"
                 sizes.setdefault(scene, {}).setdefault(pictures, []).append(run.method)
         match run.evaluation.get("views"):
-            case [{"view": _}, *_] as told:
-                names = frozenset(str(row.get("view")) for row in told if isinstance(row, dict))
+            case [{"view": _}, *_] as rows:
+                names = frozenset(str(row.get("view")) for row in rows if isinstance(row, dict))
                 views.setdefault(scene, {}).setdefault(names, []).append(run.method)
     differences = []
     for scene in dict.fromkeys((*sizes, *views)):
         which, many = sizes.get(scene, {}), views.get(scene, {})
-        said = list(which.items())
-        if len(said) < 2:  # of one size, but a run may have a split of its own
-            said = [(f"{len(names)} views of its own", methods) for names, methods in many.items()]
-        if len(said) > 1:
-            each = (f"{pictures} ({', '.join(dict.fromkeys(methods))})" for pictures, methods in said)
+        groups = list(which.items())
+        if len(groups) < 2:  # of one size, but a run may have its own split
+            groups = [(f"{len(names)} views of its own", methods) for names, methods in many.items()]
+        if len(groups) > 1:
+            each = (f"{pictures} ({', '.join(dict.fromkeys(methods))})" for pictures, methods in groups)
             differences.append(f"NOT COMPARABLE, not ranked: {scene[1]} is evaluated on {', on '.join(each)}")
     return differences
 
 
 def _ranked(columns: list[Column], rows: list[Row], comparable: bool) -> list[Row]:
-    """The rows of one block: what is partial and, if ``comparable``, best and second in each column."""
+    """The rows of one block, with partial cells and, if ``comparable``, the best and second marked."""
     cells = [list(row.cells) for row in rows]
     for i, each in enumerate(columns):
         ours = [row.cells[i] for row in rows if not row.published]
@@ -453,7 +452,7 @@ def _ranked(columns: list[Column], rows: list[Row], comparable: bool) -> list[Ro
             if not partial and not row.published and each.better != "neither":
                 merits[r] = each.merit(cell.mean)
         if not comparable or len(set(merits.values())) < 2:
-            continue  # one alone, or all alike: there is no best
+            continue  # a single one, or all equal: there is no best
         best_two = sorted(set(merits.values()), reverse=True)[:2]
         for r, merit in merits.items():
             if merit in best_two:

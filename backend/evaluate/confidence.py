@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Confidence against truth: are the pixels that a model is surest of those whose radiance is right?
+"""Compares confidence with truth: is radiance right where the model is most confident?
 
 A pixel's error is the mean over the channels of |ln(radiance / truth)|, after one factor for all pixels (the
-median), since photographs tell no absolute scale. Pixels that are compared are sorted by confidence into ten
-equal parts.
+median), because photographs have no absolute scale. Compared pixels are sorted by confidence into ten equal
+parts.
 """
 
 from collections.abc import Sequence
@@ -19,18 +19,18 @@ from ...bridge.errors import BadValueError
 from .metrics import SCALE_FLOOR
 
 FORMAT, VERSION = "physhdr-confidence", 1
-#: Added to the truth and to what is drawn at its scale, of the median of what is lit: of black, logarithms
-#: mean nothing.
+#: Added to truth and render (at the truth's scale), as a share of the median lit value, because logarithms of
+#: black are meaningless.
 FLOOR = 1e-4
 PARTS = 10
-#: What ``physhdr evaluate --confidence`` writes.
+#: Files of ``physhdr evaluate --confidence``.
 CALIBRATION_FILES = ("confidence.json", "confidence.md")
 HEADINGS = ("pixels", "confidence", f"within {STOPS:g} stops", "median |ln error|")
 
 
 @dataclass(frozen=True)
 class Part:
-    """A tenth of the pixels: their mean ``confidence``, which ``share`` is right, the median |ln error|."""
+    """A tenth of the pixels: mean ``confidence``, the ``share`` that is right, the median |ln error|."""
 
     confidence: float
     share: float
@@ -46,18 +46,18 @@ class Calibration:
 
     @property
     def ratio(self) -> float | None:
-        """Median error of the surest tenth / that of the least sure; None where the latter is 0, as of black
-        that is drawn black."""
+        """Median error of the surest tenth / that of the least sure; None where the latter is 0, as for black
+        rendered black."""
         last = self.parts[-1].median_error
         return self.parts[0].median_error / last if last else None
 
     @property
     def deviation(self) -> float:
-        """Root mean square over the parts of confidence − share: 0: it means what it says."""
+        """Root mean square over the parts of confidence − share; 0: confidence is exact."""
         return float(np.sqrt(np.mean([(part.confidence - part.share) ** 2 for part in self.parts])))
 
     def described(self) -> dict[str, Any]:
-        """As files have it."""
+        """The table as stored in files."""
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -109,9 +109,9 @@ class Calibration:
 
 
 def log_error(drawn: Sequence[np.ndarray], truth: Sequence[np.ndarray]) -> np.ndarray:
-    """``[P]`` of all pixels of some views, drawn and true radiance ``[3, …]`` each.
+    """``[P]`` for all pixels of some views, from rendered and true radiance ``[3, …]`` each.
 
-    Raises ``BadValueError`` where all of the truth is black.
+    Raises ``BadValueError`` if all of the truth is black.
     """
     a, b = (
         np.maximum(np.concatenate([each.reshape(3, -1) for each in views], axis=1), 0.0)
@@ -119,13 +119,13 @@ def log_error(drawn: Sequence[np.ndarray], truth: Sequence[np.ndarray]) -> np.nd
     )
     if not (b > 0.0).any():
         raise BadValueError(
-            "the true radiance is black wherever it is compared with confidence", "Leave out --confidence."
+            "the true radiance to compare confidence with is black", "Leave out --confidence."
         )
-    # Not of the black parts, which may be most of a picture: a floor of 0 would not be one.
+    # Without the black parts, which may be most of a picture: a floor of 0 would not be one.
     middle = float(np.median(b[b > 0.0]))
     lit = b > SCALE_FLOOR * middle
     factor = float(np.median(a[lit] / b[lit]))
-    # Before the floor, which is of the truth's scale: it would hide what is drawn at a much smaller one.
+    # Before adding the floor, which has the truth's scale: it would hide a render at a much smaller one.
     a = a / factor if factor > 0.0 else a
     floor = FLOOR * middle
     return np.abs(np.log((a + floor) / (b + floor))).mean(axis=0)

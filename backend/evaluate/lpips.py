@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""LPIPS v0.1 with AlexNet (Zhang et al. 2018), written anew: no package offers it without torchvision.
+"""LPIPS v0.1 with AlexNet (Zhang et al. 2018), rewritten because no package offers it without torchvision.
 
-The weights are not ours to ship: the user gives the path of an ``.npz`` with AlexNet's five convolutions
+We may not ship the weights: the user gives the path of an ``.npz`` with AlexNet's five convolutions
 (``conv{0,3,6,8,10}.weight/.bias``) and the five linear heads (``lin0`` … ``lin4``).
 """
 
@@ -20,7 +20,7 @@ LAYERS += (("conv10", 1, 1, False),)
 #: Output and input channels and the side of each convolution's weight.
 SHAPES = {"conv0": (64, 3, 11), "conv3": (192, 64, 5), "conv6": (384, 192, 3), "conv8": (256, 384, 3)}
 SHAPES["conv10"] = (256, 256, 3)
-#: Bytes of an array, unpacked; the largest of these has 3.5 million.
+#: Maximum bytes of an array, unpacked; the largest of these has 3.5 million.
 LARGEST_ARRAY = 1 << 26
 #: ImageNet's mean and deviation, as LPIPS states them for inputs in −1…1.
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
@@ -39,7 +39,7 @@ class Lpips:
     def from_file(cls, path: Path) -> "Lpips":
         """Load the weights; raises ``FileMissingError`` or ``FileDamagedError``."""
         path = Path(path)
-        remedy = "Give the path of lpips_alex_v0.1_float32.npz, or none to leave LPIPS out."
+        remedy = "Give the path of lpips_alex_v0.1_float32.npz, or none to skip LPIPS."
         if not path.exists():
             raise FileMissingError(f"the LPIPS weights {path} are missing", remedy)
         regular_file(path, remedy)
@@ -67,9 +67,9 @@ class Lpips:
     def both(self, picture: torch.Tensor, truth: torch.Tensor) -> tuple[float, float]:
         """``lpips`` and ``lpips_01`` of ``[3, H, W]`` pictures in 0…1.
 
-        The former scales them to −1…1, as LPIPS is defined; the latter is fed 0…1 as they are, as 3DGS,
-        GaussHDR and the paper do, and is lower. One pass is a sixth faster than two. Raises ``BadValueError``
-        where the pictures are too small.
+        The former scales them to −1…1, as LPIPS is defined; the latter takes 0…1 directly, as 3DGS, GaussHDR
+        and the paper do, and is lower. One pass is a sixth faster than two. Raises ``BadValueError`` if the
+        pictures are too small.
         """
         pictures = torch.stack([picture, truth])
         canonical, unscaled = self._distances(torch.cat([2.0 * pictures - 1.0, pictures]))
@@ -81,7 +81,7 @@ class Lpips:
         if min(x.shape[2:]) < SMALLEST_SIDE:
             raise BadValueError(
                 f"LPIPS needs pictures of at least {SMALLEST_SIDE} pixels a side, got {tuple(x.shape[1:])}",
-                "Use a higher resolution, or leave LPIPS out.",
+                "Use a higher resolution, or skip LPIPS.",
             )
         x = x.to(torch.float32)
         x = (x - x.new_tensor(SHIFT).view(1, 3, 1, 1)) / x.new_tensor(SCALE).view(1, 3, 1, 1)

@@ -13,34 +13,34 @@ import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError
 
-#: Of the μ-law with which HDR pictures are compared (HDR-NeRF, GaussHDR, the paper).
+#: Parameter of the μ-law for comparing HDR pictures (HDR-NeRF, GaussHDR, the paper).
 MU = 5000.0
-#: No picture scores more, in dB: equal ones would be infinitely good, and with one of them so would any mean.
+#: Maximum PSNR in dB: equal pictures would score infinity, and so would any mean with one of them.
 #: Pictures of 8 bit come near it only where a few values in all are off by one code (400×400: three).
 PSNR_CAP = 100.0
 #: SSIM's window and constants: 3DGS, after Wang et al. 2004.
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
-#: Channel values below this share of the picture's median say nothing of the scale: noise and black.
+#: Channel values below this share of the picture's median (noise and black) do not count for the scale.
 SCALE_FLOOR = 0.01
 #: Render and truth may differ in aspect by this much (odd sizes, halved) and still be the same picture.
 ASPECT_TOLERANCE = 0.02
 
 
 def quantise(picture: torch.Tensor) -> torch.Tensor:
-    """The picture as an 8-bit PNG would give it back: clamped to 0…1, rounded half up, float64."""
+    """The picture as read back from an 8-bit PNG: clamped to 0…1, rounded half up, float64."""
     return torch.floor(picture.double().clamp(0.0, 1.0) * 255.0 + 0.5) / 255.0
 
 
 def psnr(picture: torch.Tensor, truth: torch.Tensor) -> float:
     """Peak signal-to-noise ratio in dB for a range of 1; at most ``PSNR_CAP``, also for equal pictures.
 
-    NaN of no pixels, and where a value is NaN.
+    NaN for no pixels, and if a value is NaN.
     """
     _require_same_shape(picture, truth)
     error = (picture.double() - truth.double()).square().mean().item()
     if math.isnan(error):
-        return math.nan  # which min() may pass over
+        return math.nan  # min() may ignore it
     return PSNR_CAP if error == 0.0 else min(PSNR_CAP, -10.0 * math.log10(error))
 
 
@@ -112,8 +112,8 @@ def display(radiance: torch.Tensor, normaliser: float) -> torch.Tensor:
 def averaged_to(radiance: torch.Tensor, height: int, width: int) -> torch.Tensor:
     """True radiance ``[3, H, W]`` as a camera of ``height`` × ``width`` pixels sees it, float64.
 
-    Each pixel is the mean over its area, whatever the factor; radiance of that size is returned as it is.
-    Raises ``DataMismatchError`` on another aspect.
+    Each pixel is the mean over its area, for any factor; radiance of that size is returned unchanged.
+    Raises ``DataMismatchError`` for another aspect.
     """
     if radiance.shape[1:] == (height, width):
         return radiance
@@ -128,7 +128,7 @@ def _averaged_along(dim: int, planes: torch.Tensor, size: int) -> torch.Tensor:
     begin = torch.arange(size, dtype=torch.float64) * scale
     shape = [-1 if each == dim else 1 for each in range(planes.ndim)]
     total = torch.zeros((), dtype=torch.float64)
-    for k in range(math.ceil(scale) + 1):  # a part that begins within a pixel touches one more
+    for k in range(math.ceil(scale) + 1):  # a part that starts within a pixel touches one more
         at = begin.floor() + k
         share = (torch.minimum(at + 1.0, begin + scale) - torch.maximum(at, begin)).clamp(min=0.0) / scale
         total = total + share.reshape(shape) * planes.index_select(dim, at.long().clamp(max=side - 1))
@@ -136,9 +136,9 @@ def _averaged_along(dim: int, planes: torch.Tensor, size: int) -> torch.Tensor:
 
 
 def _resized_as_published(shown: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """What GaussHDR's code makes of the μ-law'd truth: bilinear with aligned corners, as it compares.
+    """The μ-law'd truth resized as in GaussHDR's code: bilinear with aligned corners.
 
-    Single pixels are picked rather than averaged. Raises ``DataMismatchError`` on another aspect.
+    It picks single pixels rather than averaging. Raises ``DataMismatchError`` for another aspect.
     """
     if shown.shape[1:] == (height, width):
         return shown
@@ -151,7 +151,7 @@ def _require_one_aspect(truth: torch.Tensor, height: int, width: int) -> None:
     if abs(truth.shape[2] / truth.shape[1] * height / width - 1.0) > ASPECT_TOLERANCE:
         raise DataMismatchError(
             f"the true picture is {truth.shape[2]}×{truth.shape[1]}, the render {width}×{height}",
-            "Give truth and pictures of one aspect.",
+            "Give truth and pictures of the same aspect.",
         )
 
 
@@ -168,9 +168,9 @@ def hdr_pair(prediction: torch.Tensor, truth: torch.Tensor, *, published: bool =
     """The HDR protocol of GaussHDR (https://arxiv.org/abs/2503.10143) and the paper: no alignment of scale.
 
     ``prediction`` ``[3, h, w]`` and ``truth`` ``[3, H, W]`` are radiance. M is the maximum of the truth at
-    its full resolution. A larger truth is averaged to the prediction's size and then μ-law'd: that is what a
-    perfect prediction shows. ``published``: it is μ-law'd at its full size and then resized, as GaussHDR's
-    code does and the figures of published benchmarks demand. Both pass 8 bit.
+    its full resolution. A larger truth is averaged to the prediction's size and then μ-law'd, like a perfect
+    prediction. ``published``: it is μ-law'd at its full size and then resized, as in GaussHDR's code and for
+    the figures of published benchmarks. Both are quantised to 8 bit.
     """
     shown, normaliser = hdr_shown(truth, prediction.shape[1], prediction.shape[2], published=published)
     return HdrPair(quantise(display(prediction, normaliser)), shown, normaliser)
@@ -189,9 +189,9 @@ def hdr_shown(
 def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor | None = None) -> float:
     """The median of prediction / truth: how far the absolute scale of the radiance is off (1: not).
 
-    Over all pixels and all three channels whose truth is above ``SCALE_FLOOR`` × the truth's median: black
-    has no scale. The truth is averaged to the prediction's size. ``mask``: the pixels of the prediction that
-    count, ``[H, W]`` bool; None: all. NaN if no channel value qualifies.
+    Over all pixels and channels whose truth is above ``SCALE_FLOOR`` × the truth's median: black has no
+    scale. The truth is averaged to the prediction's size. ``mask``: the pixels of the prediction that count,
+    ``[H, W]`` bool; None: all. NaN if no channel value qualifies.
     """
     truth = averaged_to(truth.double(), prediction.shape[1], prediction.shape[2])
     if mask is not None:
@@ -205,6 +205,6 @@ def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tenso
 def _require_same_shape(picture: torch.Tensor, truth: torch.Tensor) -> None:
     if picture.shape != truth.shape:
         raise DataMismatchError(
-            f"pictures of different shapes are compared: {tuple(picture.shape)} and {tuple(truth.shape)}",
+            f"cannot compare pictures of different shapes: {tuple(picture.shape)} and {tuple(truth.shape)}",
             "Render at the size of the data set's pictures.",
         )

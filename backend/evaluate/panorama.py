@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light at a place from all directions: many narrow pictures of a model, laid together on the sphere.
+"""The light at a place from all directions: many narrow renders of a model, combined on the sphere.
 
-A rasteriser draws a Gaussian as if the projection were affine round its centre: exact on the optical axis,
-wrong at the corners of a wide picture, and in the order of depths along an axis that another picture has not.
-So a panorama is of ``VIEWS`` pictures that are no wider than ``HALF_VIEW`` to each side, and where they
-overlap they blend, with weights that are 0 at their rims: there are no seams (docs/light.md has figures).
+A rasteriser treats the projection as affine around a Gaussian's centre: exact on the optical axis, wrong at
+the corners of a wide image, and sorts by depth along an axis that differs between images. So a panorama
+combines ``VIEWS`` images no wider than ``HALF_VIEW`` to each side, which blend where they overlap, with
+weights that are 0 at their rims: there are no seams (docs/light.md has figures).
 """
 
 import itertools
@@ -24,17 +24,17 @@ from ..scene.camera import Camera
 
 #: Directions of a cube's faces, edges and corners: no direction is farther than 28 degrees from one of them.
 VIEWS = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
-#: Of each picture, radians: half its field of view.
+#: Half the field of view of each image, radians.
 HALF_VIEW = math.radians(32.0)
-#: Rows and columns of directions in a pixel; the pictures are as fine.
+#: Rows and columns of directions in a pixel; the images are as fine.
 SUPERSAMPLING = 2
 
-#: Splats are drawn at least so wide, and averaged: a rasteriser widens them to its pixels.
+#: Splats are rendered at least this wide and averaged, because a rasteriser widens them to its pixels.
 SPLATS_WIDTH = 512
 
-#: Draws what a camera sees: parts ``[P, 3, H, W]``, premultiplied, and coverage ``[H, W]``; float32.
+#: Renders what a camera sees: parts ``[P, 3, H, W]``, premultiplied, and coverage ``[H, W]``; float32.
 Draw = Callable[[Camera], tuple[torch.Tensor, torch.Tensor]]
-#: Called with the share of the work that is done.
+#: Called with the share of the work done.
 Report = Callable[[float], None]
 
 
@@ -53,9 +53,9 @@ def surroundings(
     report: Report = lambda _: None,
     drawn_width: int = SPLATS_WIDTH,
 ) -> Surroundings:
-    """What is seen from ``at`` ``[3]`` (metres) in all directions, ``width`` pixels across.
+    """The panorama seen from ``at`` ``[3]`` (metres), ``width`` pixels wide.
 
-    ``drawn_width``: it is drawn that wide at least, and averaged to ``width``; both are powers of two.
+    ``drawn_width``: the least width to render at before averaging to ``width``; both are powers of two.
     """
     planes = _seen(draw, np.asarray(at, np.float64), max(width, drawn_width), report)
     while planes.shape[1] > width:
@@ -72,7 +72,7 @@ def _seen(draw: Draw, at: np.ndarray, width: int, report: Report) -> np.ndarray:
     offsets = [(k + 0.5) / SUPERSAMPLING for k in range(SUPERSAMPLING)]
     places = list(itertools.product(offsets, offsets))
     seen = [panorama.directions(width, column, row).astype(np.float32) for row, column in places]
-    # Of a pixel's directions, those nearer to a pole stand for less of it.
+    # A pixel's directions nearer to a pole represent less of it.
     shares = [_row_share(width, row) for row, _ in places]
     blends = [np.sum([_blend(vectors, camera) for camera in cameras], axis=0) for vectors in seen]
     planes: np.ndarray | None = None
@@ -102,7 +102,7 @@ def _halved(planes: np.ndarray) -> np.ndarray:
 
 
 def view_cameras(at: np.ndarray, fine: int) -> list[Camera]:
-    """Square pinhole cameras at ``at``, a pixel of each as large as one of ``fine`` round the equator."""
+    """Square pinhole cameras at ``at``, with pixels as large as those of ``fine`` around the equator."""
     focal = fine / (2.0 * math.pi)
     size = 2 * math.ceil(focal * math.tan(HALF_VIEW) + 1.0)
     return [
@@ -123,13 +123,13 @@ def _looking(at: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def _row_share(width: int, row: float) -> np.ndarray:
-    """``[H]``: the share of a pixel's solid angle that directions at ``row`` (0…1 in it) stand for."""
+    """``[H]``: the share of a pixel's solid angle represented by directions at ``row`` (0…1 in it)."""
     fine = panorama.solid_angles(SUPERSAMPLING * width).reshape(-1, SUPERSAMPLING)
     return fine[:, int(row * SUPERSAMPLING)] / (fine.sum(axis=1) * SUPERSAMPLING)
 
 
 def _blend(vectors: np.ndarray, camera: Camera) -> np.ndarray:
-    """How much a camera's picture counts along unit ``vectors`` ``[…, 3]``: smoothly 0 at ``HALF_VIEW``."""
+    """Weight of a camera's image along unit ``vectors`` ``[…, 3]``: falls smoothly to 0 at ``HALF_VIEW``."""
     forward = (-camera.camera_to_world[:3, 2]).astype(np.float32)
     least = math.cos(HALF_VIEW)
     inner = ((vectors @ forward - least) / (1.0 - least)).clip(0.0, 1.0)
@@ -137,7 +137,7 @@ def _blend(vectors: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _looked_up(picture: np.ndarray, camera: Camera, vectors: np.ndarray) -> np.ndarray:
-    """``[M, K]``: the picture ``[H, W, K]`` along world directions ``[M, 3]``, linear between pixels."""
+    """``[M, K]``: the image ``[H, W, K]`` along world directions ``[M, 3]``, linearly interpolated."""
     own = vectors @ (camera.camera_to_world[:3, :3] @ OPENGL_TO_OPENCV[:3, :3]).astype(np.float32)
     x = camera.fx * own[:, 0] / own[:, 2] + (camera.cx - 0.5)
     y = camera.fy * own[:, 1] / own[:, 2] + (camera.cy - 0.5)
@@ -150,12 +150,12 @@ def _looked_up(picture: np.ndarray, camera: Camera, vectors: np.ndarray) -> np.n
     return above * (1.0 - y) + below * y
 
 
-# ---- what is drawn -----------------------------------------------------------------------------------------
+# ---- splats ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class LitSplats:
-    """Splats as a place sees them. ``parts`` ``[P, M, 3]``: the radiance's, the fixed one first.
+    """Splats as seen from a place. ``parts`` ``[P, M, 3]``: of the radiance, the fixed one first.
 
     ``means`` ``[M, 3]``, ``quaternions`` ``[M, 4]`` wxyz, ``scales`` ``[M, 3]``, ``opacities`` ``[M]``.
     """
@@ -167,24 +167,24 @@ class LitSplats:
     parts: torch.Tensor
 
     def beyond(self, at: Sequence[float], near: float) -> "LitSplats":
-        """Without those that are too near to ``at`` (``bridge.panorama.too_near``)."""
+        """Without splats too near to ``at`` (``bridge.panorama.too_near``)."""
         means, quaternions, scales = (
             each.detach().cpu().numpy() for each in (self.means, self.quaternions, self.scales)
         )
         close = panorama.too_near(means, quaternions, scales, np.asarray(at), near)
         if not close.any():
             return self
-        kept = torch.from_numpy(np.flatnonzero(~close)).to(self.means.device)
+        far = torch.from_numpy(np.flatnonzero(~close)).to(self.means.device)
         return LitSplats(
-            self.means[kept],
-            self.quaternions[kept],
-            self.scales[kept],
-            self.opacities[kept],
-            self.parts[:, kept],
+            self.means[far],
+            self.quaternions[far],
+            self.scales[far],
+            self.opacities[far],
+            self.parts[:, far],
         )
 
     def drawn(self, camera: Camera, implementation: Implementation) -> tuple[torch.Tensor, torch.Tensor]:
-        """As ``Draw``: a pass of three channels for each part, whose kernel every machine has compiled."""
+        """As ``Draw``: one pass of three channels per part, whose kernel every machine has compiled."""
         shape = (self.means, self.quaternions, self.scales, self.opacities)
         passes = [
             rasterize(*shape, colours.contiguous(), camera, implementation=implementation)
@@ -200,7 +200,7 @@ def parted(radiance: torch.Tensor, shares: torch.Tensor) -> torch.Tensor:
 
 
 def lit_model(model: Model, at: Sequence[float]) -> LitSplats:
-    """A model file's Gaussians as seen from ``at``; one part where its lights are not known apart."""
+    """A model file's Gaussians as seen from ``at``; one part if its lights cannot be separated."""
     offset = model.position - np.asarray(at, np.float32)
     length = np.linalg.norm(offset, axis=1, keepdims=True)
     radiance = torch.from_numpy(model.radiance(offset / np.maximum(length, 1e-12)).astype(np.float32))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Test photos of a camera that decides by itself: compared as they state themselves, and fitted.
+"""Test photos of a camera with automatic settings: compared as stated, and with fitted gains.
 
-A photo's true exposure and white balance differ from what it states, and nothing but the photo tells by how
-much. So a picture that is right may lie a fifth of a stop beside it. As published work does with photos (a
-photo's appearance is found on one half of it, the other half is measured), one gain for each colour channel
-is fitted on the left half, by least squares of what is compared, and the right half is measured with it.
+A photo's true exposure and white balance differ from what it states, by an amount known only from the photo,
+so a correct render may be off by a fifth of a stop. As in published work on photos (appearance is fitted on
+one half of a photo, the other half is measured), one gain per colour channel is fitted on the left half, by
+least squares of the compared values, and the right half is measured with it.
 Source of the convention: Martin-Brualla et al., "NeRF in the Wild", 2021, section 4.
 """
 
@@ -18,18 +18,18 @@ from ..scene.scene import View
 from .pictures import Pair, pairs
 from .renderer import Renderer
 
-#: The share of the light that arrives at each pixel, ``[1, H, W]``: what is known of a view's lens.
+#: The share of the light that reaches each pixel, ``[1, H, W]``, through a view's lens.
 Falloff = Callable[[Camera], torch.Tensor]
 
-#: Gauss and Newton's steps, and the difference (of ln gain) by which slopes are told.
+#: Gauss-Newton steps, and the finite difference (of ln gain) for slopes.
 STEPS, DIFFERENCE = 6, 0.01
-#: A gain beyond e, 1.4 stops, is no fault of a camera but of a model.
+#: Limit of ln gain: beyond e, 1.4 stops, the error is the model's, not the camera's.
 LARGEST = 1.0
 
 
 @dataclass(frozen=True)
 class FittedPhotos:
-    """Mean PSNR (dB) of the right halves of ``count`` photos: as they are stated, and with fitted gains.
+    """Mean PSNR (dB) of the right halves of ``count`` photos: as stated, and with fitted gains.
 
     ``stops``: root mean square of the fitted gains.
     """
@@ -41,22 +41,22 @@ class FittedPhotos:
 
     def __str__(self) -> str:
         return (
-            f"With one gain a channel fitted on the left half of each of {self.count} photos, their right "
-            f"halves are at {self.fitted:.2f} dB PSNR; as the photos state themselves at {self.stated:.2f} "
+            f"With one gain per channel fitted on the left half of each of {self.count} photos, their right "
+            f"halves are at {self.fitted:.2f} dB PSNR; as stated by the photos at {self.stated:.2f} "
             f"(gains: {self.stops:.2f} stops, root mean square)."
         )
 
 
 def no_falloff(camera: Camera) -> torch.Tensor:
-    """Of a lens that is as bright everywhere."""
+    """The falloff of a lens without vignetting."""
     return torch.ones(1, 1, 1)
 
 
 @torch.no_grad()
 def falloff_there(renderer: Renderer, views: Sequence[View], falloff: Falloff) -> bool:
-    """Whether the pictures of ``views`` have the vignetting: whether their left halves are nearer with it.
+    """Whether the pictures of ``views`` have the vignetting, that is, their left halves match better with it.
 
-    Photos of the same camera have; pictures that were developed with a lens profile, or rendered, have not.
+    Photos of the same camera have it; rendered pictures, or ones developed with a lens profile, do not.
     """
 
     def error(view: View, k: int, effect: torch.Tensor) -> float:
@@ -75,7 +75,7 @@ def fitted_photos(
     falloff: Falloff,
     step: Callable[[str], None] = lambda what: None,
 ) -> FittedPhotos | None:
-    """Fit every photo of ``views``; None where no half has pixels to compare. ``step`` is told each view."""
+    """Fit every photo of ``views``; None if no half has pixels to compare. Calls ``step`` for each view."""
     stated, fitted, gains = [], [], []
     for view in views:
         step(f"fit {view.name}")
@@ -95,7 +95,7 @@ def fitted_photos(
 
 
 def _fit(renderer: Renderer, view: View, k: int, arriving: torch.Tensor) -> torch.Tensor:
-    """``[3, 1, 1]``: the gains under which the left half is nearest to the photo."""
+    """``[3, 1, 1]``: the gains that best match the left half to the photo."""
     log_gain = torch.zeros(3, 1, 1)
     for _ in range(STEPS):
         here, there = (

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of a split's views that any program made, in a folder: read for an evaluation, and written.
+"""A folder of pictures of a split's views, made by any program: read for an evaluation, and written.
 
-They are called as the data set's own files: ``test/r_0_0.png`` at the first exposure of pose 0, the name of
+They have the names of the data set's files: ``test/r_0_0.png`` at the first exposure of pose 0, the name of
 the true radiance for HDR (``test_hdr/hdr_000.exr``), that of the relit truth under other light
-(``relit/level_4/hdr_000.exr``). Other layouts have names of their own; where a picture is no PNG there, a
-``.png`` of the same name will do, for a JPEG loses something.
+(``relit/level_4/hdr_000.exr``), and others in other layouts. Where the data set's picture is no PNG, a
+``.png`` of the same name is accepted, because a JPEG loses information.
 """
 
 import os
@@ -29,30 +29,30 @@ from .pictures import finite
 from .renderer import Renderer
 from .results import VIEWS_OF
 
-MEND = "Write it again: it is called, and as large, as the data set's own picture; lab/compare.md says more."
-ALL_OR_NONE = "Write it, or none of its kind: a mean over some of the views compares with no other."
-#: Of a 16-bit picture.
+REMEDY = "Write it again with the name and size of the data set's picture; see lab/compare.md."
+ALL_OR_NONE = "Write it, or none of its kind: a mean over some of the views cannot be compared."
+#: White of a 16-bit picture.
 DEEP = float(LARGEST[np.dtype(np.uint16)])
 
 
 class PictureFolder(Renderer):
-    """The pictures in ``folder``, one for each view of ``split`` at each exposure, as a renderer of them.
+    """The pictures in ``folder``, one for each view of ``split`` at each exposure, as a renderer.
 
-    It knows the cameras of these views alone. ``has_hdr``: whether there are HDR pictures; ``shows`` says of
-    a mixture of light whether it is there. Everything that an evaluation will read is looked for here, and
-    its size compared, before any of it is read.
+    It only renders the cameras of these views. ``has_hdr``: whether there are HDR pictures; ``shows``:
+    whether there are pictures of a mix of lights. The constructor checks that all files exist and have the
+    right size before any is read.
 
-    Raises ``FileMissingError`` for a picture that is missing (all of the HDR ones may be, and all of a
-    mixture), ``DataMismatchError`` for one of another size and ``FileDamagedError`` for what is no picture.
+    Raises ``FileMissingError`` for a missing picture (all HDR ones may be missing, or all of a mix),
+    ``DataMismatchError`` for one of another size and ``FileDamagedError`` for an unreadable one.
     """
 
     def __init__(self, folder: Path, scene: Scene, split: str = TEST) -> None:
         self.folder, self._split = Path(folder), split
         if not self.folder.is_dir():
-            raise FileMissingError(f"there is no folder of pictures {folder}", "Name the one that has them.")
+            raise FileMissingError(f"there is no folder of pictures {folder}", "Check the path.")
         views = scene.splits[split]
         self._views = {view.camera: view for view in views}
-        assert len(self._views) == len(views)  # every pose has a camera of its own
+        assert len(self._views) == len(views)  # every pose has its own camera
         self._ldr = {view.camera: self._ldr_paths(scene, view) for view in views}
         self._require([path for paths in self._ldr.values() for path in paths.values()])
         self._find_hdr(scene, views)
@@ -64,7 +64,7 @@ class PictureFolder(Renderer):
                 _require_size(path, view.camera)
 
     def _ldr_paths(self, scene: Scene, view: View) -> dict[int, Path]:
-        """By position in the view's exposures, of a camera's pictures; others are compared through HDR."""
+        """A camera's pictures by position in the view's exposures; others are compared through HDR."""
         paths = {}
         for k, source in enumerate(view.sources):
             if not view.encodings[k].is_known:
@@ -95,11 +95,11 @@ class PictureFolder(Renderer):
         if self._relit and not self.has_hdr:
             raise FileMissingError(
                 f"{self.folder} has relit pictures, but no HDR ones",
-                "Relit pictures are judged beside these: write them, too.",
+                "Write these as well: relit pictures are compared with them.",
             )
 
     def _at(self, scene: Scene, path: Path) -> Path:
-        """Where a file of the data set has its counterpart."""
+        """The counterpart of a file of the data set."""
         return self.folder / name_in(scene, path)
 
     def _require(self, paths: Sequence[Path]) -> None:
@@ -109,11 +109,11 @@ class PictureFolder(Renderer):
             raise FileMissingError(
                 f"{missing[0]} is missing{more}",
                 f"Each of the {len(self._views)} {VIEWS_OF[self._split]} needs a picture at each of its "
-                "exposures, called as the data set's own.",
+                "exposures, named like the data set's own.",
             )
 
     def _is_whole(self, paths: Sequence[Path], kind: str) -> bool:
-        """Whether all are there; raises ``FileMissingError`` where only some are."""
+        """Whether all exist; raises ``FileMissingError`` if only some do."""
         missing = [path for path in paths if not path.exists()]
         if missing and len(missing) < len(paths):
             raise FileMissingError(
@@ -144,7 +144,7 @@ class PictureFolder(Renderer):
     def ldr_bracket(
         self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
     ) -> Iterator[torch.Tensor]:
-        """As a renderer's; of equal exposures in one bracket the first, then the next."""
+        """As of any renderer; equal exposures in one bracket are returned in order."""
         view, left = self._view(camera), dict(self._ldr[camera])
         for exposure in exposures:
             k = next((k for k in left if view.exposures[k] == exposure), None)
@@ -161,12 +161,12 @@ class PictureFolder(Renderer):
         effects: Sequence[torch.Tensor],
         lighting_level: Levels = 1.0,
     ) -> Iterator[torch.Tensor]:
-        """Never asked of what learns nothing of a camera."""
-        raise BadValueError(f"{self.folder} has pictures as they are alone")
+        """Never called, because this learns nothing about a camera."""
+        raise BadValueError(f"{self.folder} only has finished pictures")
 
     def _view(self, camera: Camera) -> View:
         if camera not in self._views:
-            raise BadValueError(f"{self.folder} has pictures of the {VIEWS_OF[self._split]} alone")
+            raise BadValueError(f"{self.folder} only has pictures of the {VIEWS_OF[self._split]}")
         return self._views[camera]
 
 
@@ -183,11 +183,11 @@ def _require_size(path: Path, camera: Camera) -> None:
 
 @contextmanager
 def _of_a_picture() -> Iterator[None]:
-    """Readers' errors with a remedy for pictures that are no data set's."""
+    """Errors of readers with a remedy for pictures outside a data set."""
     try:
         yield
     except PhysHDRError as error:
-        raise type(error)(error.message, MEND) from error
+        raise type(error)(error.message, REMEDY) from error
 
 
 # ---- names, and writing --------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ def name_in(scene: Scene, path: Path) -> str:
 
 
 def hdr_path(scene: Scene, split: str, view: View) -> Path:
-    """Where the data set has the view's true radiance, or would have it."""
+    """Where the data set stores the view's true radiance, or would."""
     return truth.hdr_truth_path(scene.root, split, view.index)
 
 
@@ -211,17 +211,17 @@ def write_pictures(
     split: str = TEST,
     progress: Callable[[int, int, str], None] = lambda done, total, what: None,
 ) -> int:
-    """Write what ``PictureFolder`` reads of every view of ``split``; returns the number of files.
+    """Write what ``PictureFolder`` reads for every view of ``split``; returns the number of files.
 
-    A camera's pictures as PNG of 16 bits, radiance as OpenEXR, and that under every light of the relit truth
-    which the model has a level for; what training found of a lens's vignetting is in none of them. What is
-    there already under these names is replaced at the end, when all are written: an interruption leaves no
-    mixture of two models. ``progress`` is called with (views done, all, what is next). Raises
-    ``BadValueError`` where ``folder`` is the data set itself or the model renders NaN, and ``OutputError``.
+    Camera pictures as 16-bit PNG, radiance as OpenEXR, also under every light of the relit truth that the
+    model has a level for; all without learned vignetting. Existing files of these names are replaced at the
+    end, when all are written, so that an interruption never mixes two models. ``progress`` is called with
+    (views done, all, the next one). Raises ``BadValueError`` if ``folder`` is the data set itself or the
+    model renders NaN, and ``OutputError``.
     """
     if resolved(folder) == resolved(scene.root):
         raise BadValueError(
-            f"{folder} is the data set: its own pictures would be replaced", "Give another folder."
+            f"{folder} is the data set, whose pictures would be replaced", "Give another folder."
         )
     relit = truth.relit_truth(scene.root) if split == TEST else []
     views, count = scene.splits[split], 0
@@ -252,7 +252,7 @@ def write_pictures(
 def _require_none_stays(
     renderer: Renderer, scene: Scene, folder: Path, views: Sequence[View], relit: Sequence[truth.RelitTruth]
 ) -> None:
-    """Pictures of something else that ``PictureFolder`` would read beside the renderer's."""
+    """Raises ``BadValueError`` for other pictures that ``PictureFolder`` would read with the renderer's."""
     pictures = [
         source.path
         for view in views
@@ -263,7 +263,7 @@ def _require_none_stays(
     for path in (folder / name_in(scene, path) for path in (*pictures, *unknown)):
         if path.exists():
             raise BadValueError(
-                f"{path} is there and would stay, as if it were of this model",
+                f"{path} exists and would be taken for this model's",
                 "Give another folder, or remove what is in it.",
             )
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of a view beside what a model makes of them, each in the domain of its own encoding.
+"""Pictures of a view paired with a model's renders, each in the domain of its own encoding.
 
-A camera's pictures are compared with what the model's response gives, through as many bits as the file has.
-Those of a known encoding are compared through it: the model gives radiance, and nothing learned is between.
+A camera's pictures are compared with the output of the model's response, quantised to the file's bits.
+Pictures of a known encoding are compared in it: the model's radiance is encoded without anything learned.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from .results import Metrics
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A prediction and its reference, values ``[3, H, W]`` float64; of radiance they may exceed 1.
+    """A prediction and its reference, values ``[3, H, W]`` float64; radiance may exceed 1.
 
     ``mask``: which pixels are compared, ``[H, W]`` bool; None: all.
     """
@@ -31,7 +31,7 @@ class Pair:
     mask: torch.Tensor | None
 
     def shown(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Both in 0…1, black where nothing is compared: for eyes, SSIM and LPIPS."""
+        """Both in 0…1, black where nothing is compared: for display, SSIM and LPIPS."""
         both = self.picture.clamp(0.0, 1.0), self.reference.clamp(0.0, 1.0)
         if self.mask is None:
             return both
@@ -45,9 +45,9 @@ class Pair:
         return psnr(self.picture[:, self.mask], self.reference[:, self.mask])
 
     def metrics(self, lpips: Lpips | None = None) -> Metrics:
-        """PSNR over compared pixels; SSIM at these, as if the others were black in both; LPIPS, too.
+        """PSNR over compared pixels; SSIM over them, with the others black in both; LPIPS with these black.
 
-        PSNR and SSIM are NaN where no pixel is compared.
+        PSNR and SSIM are NaN if no pixel is compared.
         """
         distances = lpips.both(*self.shown()) if lpips else (None, None)
         if self.mask is None:
@@ -67,10 +67,10 @@ def pairs(
 ) -> Iterator[Pair]:
     """The view at each of ``positions`` of its bracket (None: all), in their order.
 
-    ``rounded``: what the response gives passes through as many bits as the file has. ``effect``: a factor on
-    the light before, ``[1 or 3, H, W]``, such as the lens's vignetting; None: 1.
+    ``rounded``: quantise the response's output to the file's bits. ``effect``: a factor on the light before,
+    ``[1 or 3, H, W]``, such as the lens's vignetting; None: 1.
 
-    Raises ``BadValueError`` where the model renders NaN, and what reading the pictures raises.
+    Raises ``BadValueError`` if the model renders NaN, and what reading the pictures raises.
     """
     places = range(len(view.exposures)) if positions is None else positions
     cameras = [k for k in places if not view.encodings[k].is_known]
@@ -113,40 +113,40 @@ def radiance_pair(
 
 
 def compared_everywhere(view: View) -> torch.Tensor | None:
-    """Which pixels every picture of a view compares, ``[H, W]`` bool; None: all. So are its radiance and its
-    pictures under other light, of which there are no masks. Raises what reading the pictures raises.
+    """The pixels compared in all pictures of a view, ``[H, W]`` bool; None: all. Also used for its radiance
+    and relit pictures, which have no masks. Raises what reading the pictures raises.
     """
     masks = [mask for k in range(len(view.exposures)) if (mask := view.mask(k)) is not None]
     return torch.from_numpy(np.logical_and.reduce(masks)) if masks else None
 
 
 def all_of_eight_bits(views: Sequence[View]) -> bool:
-    """Whether every picture is a camera's, of 8 bits."""
+    """Whether every picture is an 8-bit camera picture."""
     every = ((view, k) for view in views for k in range(len(view.exposures)))
     return all(view.image(k).dtype == np.uint8 and not view.encodings[k].is_known for view, k in every)
 
 
 def finite(picture: torch.Tensor, what: str) -> torch.Tensor:
-    """The picture on the CPU; raises ``BadValueError`` on NaN or infinity, which would pass as black."""
+    """The picture on the CPU; raises ``BadValueError`` for NaN or infinity, which would pass as black."""
     picture = picture.detach().cpu()
     if not bool(torch.isfinite(picture).all()):
         raise BadValueError(
-            f"the model renders NaN or infinity: {what}", "Train again, or use a checkpoint before."
+            f"the model renders NaN or infinity: {what}", "Train again, or use an earlier checkpoint."
         )
     return picture
 
 
-def in_words(views: Sequence[View]) -> list[str]:
-    """What has to be said of numbers of these views' pictures, where not all are a camera's, and whole."""
-    told = []
+def notes_on(views: Sequence[View]) -> list[str]:
+    """Notes on these views' pictures for the report: known encodings and masks."""
+    notes = []
     every = [(view, k) for view in views for k in range(len(view.exposures))]
     for encoding in dict.fromkeys(view.encodings[k] for view, k in every):
         count = sum(view.encodings[k] == encoding for view, k in every)
         if encoding.is_known:
-            told.append(f"{count} of {len(every)} pictures are compared in their own domain: {encoding}.")
+            notes.append(f"{count} of {len(every)} pictures are compared in their own domain: {encoding}.")
     hidden = [1.0 - float(mask.mean()) for view, k in every if (mask := view.mask(k)) is not None]
     if hidden:
         share = sum(hidden) / len(every)
         where = f"{len(hidden)} of {len(every)} pictures"
-        told.append(f"{share:.1%} of the pixels are masked, in {where}, and not compared.")
-    return told
+        notes.append(f"{share:.1%} of the pixels are masked, in {where}, and not compared.")
+    return notes

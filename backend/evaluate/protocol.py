@@ -2,13 +2,13 @@
 """The paper's evaluation, and ours of relighting: what is rendered, compared and averaged.
 
 The views are those of one split: the test views, or the validation views.
-LDR: every view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS (``pictures.py``, which tells of
-radiance and masks, too); averaged for each exposure, then LDR-OE over exposure indices 0, 2, 4 (those that
-training saw) and LDR-NE over 1, 3 (those it did not), and so on in longer brackets.
-HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio; of pixels that all
-pictures of a view compare.
-Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
-The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where that was so.
+LDR: every view at every exposure, in 8 bit, by PSNR, SSIM and LPIPS (``pictures.py`` also handles radiance
+and masks); averaged for each exposure, then LDR-OE over exposure indices 0, 2, 4 (seen in training) and
+LDR-NE over 1, 3 (not seen), alternating on in longer brackets.
+HDR: ``metrics.hdr_pair``, both unchanged and divided by the median scale ratio, over the pixels compared in
+all pictures of a view.
+Relit: the μ-law PSNR under other light, and that of merely scaled pictures (``results.RelitRow``).
+The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where it was reached.
 """
 
 import math
@@ -26,7 +26,7 @@ from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, averaged_to, display, hdr_normaliser, hdr_shown, quantise, scale_ratio
 from .photos import Falloff, falloff_there, fitted_photos, no_falloff
-from .pictures import Pair, all_of_eight_bits, compared_everywhere, finite, in_words, pairs, radiance_pair
+from .pictures import Pair, all_of_eight_bits, compared_everywhere, finite, notes_on, pairs, radiance_pair
 from .published import data_set_of
 from .renderer import Renderer
 from .response import check_response, learned_response, true_response
@@ -63,19 +63,17 @@ def evaluate(
 ) -> Evaluation:
     """Render and compare every view of ``split``: the test views, or the validation views (``val``).
 
-    Nothing of the other split is opened; relit truth is of test views and is left out for others.
-    ``exposure_mode``: how training chose exposures (exp1, exp3), stated beside the numbers.
-    ``training_exposures``: the exposure indices it chose from, None: not known; a message says where LDR-OE
-    and LDR-NE are not what they are called. ``iteration`` of the ``iterations`` that were planned is
-    evaluated; None: not known.
-    ``progress`` is called with (done, total, what is next). ``falloff``: the vignetting that training found
-    of the lens, used where these pictures have it; their gain and white balance are fitted beside
-    (``photos.py``).
-    Of pictures that another program made (``PictureFolder``) ``hdr`` says whether radiance is among them, and
-    ``shows`` whether it is under a mixture of light; by default whatever the renderer has levels for.
-    Parts for which the data set has no truth are left out, with a message. Raises ``DataMismatchError``
-    without views in the split, ``BadValueError`` for a split that is trained from, if the model renders NaN
-    or ``dataset.json`` states a response that is none, and what ``read_codes`` and ``read_exr`` raise.
+    No file of the other split is opened; relit truth exists for test views only. ``exposure_mode``: how
+    training chose exposures (exp1, exp3), for the report. ``training_exposures``: the exposure indices it
+    chose from, None: unknown; a message reports if LDR-OE and LDR-NE do not match them. ``iteration``: the
+    evaluated one of the planned ``iterations``; None: unknown. ``progress`` is called with (done, total, the
+    next step). ``falloff``: the learned vignetting of the lens, used if these pictures have it; gain and
+    white balance are then also fitted (``photos.py``). For pictures of another program (``PictureFolder``),
+    ``hdr`` says whether radiance is included, and ``shows`` whether it is for a mix of lights; default:
+    whatever the renderer has levels for.
+    Parts without truth are skipped, with a message. Raises ``DataMismatchError`` without views in the split,
+    ``BadValueError`` for a training split, if the model renders NaN or ``dataset.json`` states an invalid
+    response, and what ``read_codes`` and ``read_exr`` raise.
     """
     views = _views_of(scene, split)
     started = time.monotonic()
@@ -83,17 +81,17 @@ def evaluate(
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     unknown = [item for item in relit if not can_show(item)]
     why = "the model has no level for a light of it" if shows is None else "no pictures of it were given"
-    messages = [*renderer.remarks, *_what_is_left_out(scene, split, lpips, hdr, relit, unknown, why)]
-    messages += in_words(views)
-    there = {k for view in views for k in view.bracket}
-    messages += _what_training_was(training_exposures, there, iteration, iterations)
+    messages = [*renderer.remarks, *_skipped(scene, split, lpips, hdr, relit, unknown, why)]
+    messages += notes_on(views)
+    places = {k for view in views for k in view.bracket}
+    messages += _notes_on_training(training_exposures, places, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
     camera = views[0].camera
     if _smallest_side(views) < SMALLEST_SIDE:
         lpips = None
     step = _Steps((2 if falloff is None else 3) * len(views) + len(relit), progress)
 
-    # Before rendering, which takes long: a response that dataset.json states may be none.
+    # Before rendering, which takes long: the response in dataset.json may be invalid.
     learned = learned_response(renderer)
     response = None if learned is None else check_response(learned, true_response(scene, learned, split))
     ldr = []
@@ -114,18 +112,18 @@ def evaluate(
     if hdr and truth.has_hdr_truth(scene.root, split):
         standard = _standard_views(renderer, scene, split, step)
         hdr_rows = _hdr_rows(standard, lpips, published=bool(data_set_of(scene)))
-        messages += _what_has_no_scale(hdr_rows)
+        messages += _without_scale(hdr_rows)
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
-            view = scene.find(TEST, item.index)  # says which poses there are
+            view = scene.find(TEST, item.index)  # its error lists the poses
             if item.index not in standard:
-                continue  # masked altogether
+                continue  # entirely masked
             if row := _relit_row(renderer, standard[item.index], item):
                 relit_rows.append(row)
             else:
                 messages.append(f"Relit {item.condition} of {view.name} left out: its truth is black.")
     step.end()
-    messages += _what_is_capped(ldr, hdr_rows, relit_rows)
+    messages += _capped(ldr, hdr_rows, relit_rows)
     return Evaluation(
         scene=scene.name,
         split=split,
@@ -150,13 +148,13 @@ def _views_of(scene: Scene, split: str) -> list[View]:
     """The views of a split that can be evaluated; raises as ``evaluate``."""
     if split not in HELD_OUT:
         raise BadValueError(
-            f"the split '{split}' cannot be evaluated: it is trained from, or there is none of that name",
+            f"the split '{split}' cannot be evaluated: it is for training, or does not exist",
             f"Choose from {', '.join(HELD_OUT)}.",
         )
     if not scene.splits[split]:
         remedy = "Add transforms_test.json and exposure_test.json."
         if scene.validation:
-            remedy = "Evaluate the validation views: --split val. Plans that tune are shown no test views."
+            remedy = "Evaluate the validation views: --split val. Tuning plans have no access to test views."
         if split == VALIDATION:
             remedy = "make_scene.py --validation-views N renders some; or evaluate the test views."
         raise DataMismatchError(f"{scene.root} has no {VIEWS_OF[split]}", remedy)
@@ -164,12 +162,12 @@ def _views_of(scene: Scene, split: str) -> list[View]:
 
 
 def _smallest_side(views: Sequence[View]) -> int:
-    """In pixels: a mean that some views are not in would be another's."""
+    """In pixels. LPIPS is skipped for all views if one is too small, because means must cover all views."""
     return min(min(view.camera.width, view.camera.height) for view in views)
 
 
 class _Steps:
-    """Counts what is done for the progress callback."""
+    """Counts steps for the progress callback."""
 
     def __init__(self, total: int, progress: Callable[[int, int, str], None] | None) -> None:
         self._total, self._done, self._progress = total, 0, progress
@@ -184,7 +182,7 @@ class _Steps:
             self._progress(self._total, self._total, "done")
 
 
-def _what_is_left_out(
+def _skipped(
     scene: Scene,
     split: str,
     lpips: Lpips | None,
@@ -214,20 +212,20 @@ def _what_is_left_out(
     return messages
 
 
-def _what_training_was(
-    exposures: Sequence[int] | None, there: set[int], iteration: int | None, iterations: int | None
+def _notes_on_training(
+    exposures: Sequence[int] | None, places: set[int], iteration: int | None, iterations: int | None
 ) -> list[str]:
-    """What has to be said where it was not the protocol's, or not all of what was planned.
+    """Notes if training did not follow the protocol or is incomplete.
 
-    ``there``: the places in the bracket that the evaluated views have.
+    ``places``: those in the bracket that the evaluated views have.
     """
     messages = []
     if exposures is None:
         exposures = OBSERVED_EXPOSURES
     given = f"(--training-exposures {' '.join(map(str, exposures))})"
-    if seen := [str(k) for k in sorted(there) if part_of(k) == NOVEL and k in exposures]:
+    if seen := [str(k) for k in sorted(places) if part_of(k) == NOVEL and k in exposures]:
         messages.append(f"LDR-NE is not of novel exposures: training saw index {' and '.join(seen)} {given}.")
-    if unseen := [str(k) for k in sorted(there) if part_of(k) == OBSERVED and k not in exposures]:
+    if unseen := [str(k) for k in sorted(places) if part_of(k) == OBSERVED and k not in exposures]:
         messages.append(
             f"LDR-OE is not of observed exposures: training did not see index {' and '.join(unseen)} {given}."
         )
@@ -236,7 +234,7 @@ def _what_training_was(
     return messages
 
 
-def _what_has_no_scale(rows: list[HdrRow]) -> list[str]:
+def _without_scale(rows: list[HdrRow]) -> list[str]:
     black = [row.view for row in rows if not math.isfinite(row.scale_ratio)]
     if not black:
         return []
@@ -246,7 +244,7 @@ def _what_has_no_scale(rows: list[HdrRow]) -> list[str]:
     ]
 
 
-def _what_is_capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow]) -> list[str]:
+def _capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow]) -> list[str]:
     relit_numbers = [(row.ours, row.scaled_truth, row.scaled_ours, row.best_scaled_truth) for row in relit]
     parts = {
         "LDR": [row.metrics.psnr for row in ldr],
@@ -258,8 +256,8 @@ def _what_is_capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow])
     if not capped:
         return []
     return [
-        f"PSNR is capped at {PSNR_CAP:g} dB, which was reached in {'; '.join(capped)}: pictures that equal "
-        "the truth, or nearly."
+        f"PSNR is capped at {PSNR_CAP:g} dB, which was reached in {'; '.join(capped)}: pictures (almost) "
+        "equal to the truth."
     ]
 
 
@@ -275,7 +273,7 @@ def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None, falloff: Fall
 
 @dataclass(frozen=True)
 class _StandardView:
-    """A view under the standard light: what the model shows, and the truth ``[3, H, W]``.
+    """A view under the standard light: the model's render and the truth ``[3, H, W]``.
 
     ``mask``: which pixels are compared, ``[H, W]`` bool; None: all.
     """
@@ -287,7 +285,7 @@ class _StandardView:
 
 
 def _standard_views(renderer: Renderer, scene: Scene, split: str, step: _Steps) -> dict[int, _StandardView]:
-    """By pose: rendered and read once, for the HDR rows and for every relit one; none that is all masked."""
+    """By pose, without entirely masked ones: rendered and read once, for the HDR and relit rows."""
     views = {}
     for view in scene.splits[split]:
         step(f"HDR {view.name}")
@@ -305,7 +303,7 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, publis
 
     views = list(standard.values())
     ratios = [scale_ratio(each.prediction, each.truth, each.mask) for each in views]
-    # One scale for all views: aligning each view by itself would hide that views disagree.
+    # One scale for all views: aligning each by itself would hide disagreement between views.
     common = middle_ratio(ratios)
     rows = []
     for each, ratio in zip(views, ratios, strict=True):
@@ -317,7 +315,7 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, publis
 
 
 def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTruth) -> RelitRow | None:
-    """None where the truth is black, as with every light switched off: nothing to normalise by."""
+    """None if the truth is black, as with every light off: there is nothing to normalise by."""
     view, mask, relit = standard.view, standard.mask, item.radiance()
     if not relit.max() > 0.0:
         return None
@@ -327,9 +325,9 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
     truth_standard = averaged_to(standard.truth, height, width)
     best_factor = scale_ratio(averaged_to(relit, height, width), truth_standard, mask)
     if math.isnan(best_factor):
-        best_factor = 1.0  # of what is compared the truth is black, and any factor leaves it so
+        best_factor = 1.0  # the compared truth is black, and stays so with any factor
     changed = list(item.changed.values())
-    # A picture times 0 is black: nobody would offer that for a light that is switched off.
+    # Not 0, for a light switched off: the whole picture would be black.
     factor = changed[0] if len(changed) == 1 and changed[0] > 0.0 else best_factor
 
     shown, normaliser = hdr_shown(relit, height, width)
@@ -353,5 +351,5 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
 
 
 def lpips_from(path: Path | str | None) -> Lpips | None:
-    """LPIPS with the weights at ``path``; None, and so left out, without one."""
+    """LPIPS with the weights at ``path``; None (LPIPS is skipped) without one."""
     return None if path is None else Lpips.from_file(Path(path))

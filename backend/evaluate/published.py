@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's own numbers (``published.csv`` says where they are from), and whether a scene is theirs.
+"""The paper's own numbers (``published.csv`` states their sources), and whether a scene is one of theirs.
 
-They are shown only beside results on the very same data: a scene of ours that happens to be called bathroom,
-or the original at another resolution, has nothing to do with them.
+They are shown only with results on the same data: not with a scene of ours that happens to be named bathroom,
+nor with the original at another resolution.
 """
 
 import csv
@@ -14,19 +14,19 @@ from ...bridge.data_set import CAPTURE_FILE
 from ..scene.scene import Scene
 
 FIGURES_FILE = Path(__file__).with_name("published.csv")
-#: What the paper calls its own method.
+#: The paper's name for its own method.
 OURS = "Ours"
 METHOD = "PhysHDR-GS"
 ABLATION = "ablation:"
-#: The file keeps the paper's LPIPS, which feeds 0…1 pictures.
+#: The file stores the paper's LPIPS, computed on 0…1 pictures.
 METRICS = {"psnr": "psnr", "ssim": "ssim", "lpips_01": "lpips"}
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What gives a published data set away: its scenes, (width, height) in its protocol, test views.
+    """How to recognise a published data set: its scenes, (width, height) in its protocol, test views.
 
-    ``layouts``: names of the readers whose folders hold it with the paper's split (HDR-GS's has another).
+    ``layouts``: layouts in which it has the paper's split (HDR-GS's has another).
     """
 
     layouts: tuple[str, ...]
@@ -35,7 +35,7 @@ class Benchmark:
     test_views: int
 
 
-#: As their authors packed them, at the sizes at which GaussHDR and the paper compare: HDR-NeRF
+#: As packed by their authors, at the sizes used by GaussHDR and the paper: HDR-NeRF
 #: (https://arxiv.org/abs/2111.14451), GaussHDR (https://arxiv.org/abs/2503.10143), HDR-Plenoxels
 #: (https://arxiv.org/abs/2208.06787).
 BENCHMARKS = {
@@ -53,9 +53,9 @@ BENCHMARKS = {
 
 
 def data_set_of(scene: Scene) -> str:
-    """The name of the published data set that ``scene`` is of, as its protocol reads it, else ``""``.
+    """The published data set that ``scene`` belongs to, if read by its protocol, else ``""``.
 
-    Never one of ours, whatever it is called: its layout is another (it has a ``dataset.json``).
+    Never for our own data sets, whatever their name: they have another layout (with a ``dataset.json``).
     """
     if scene.info or not scene.test:
         return ""
@@ -69,10 +69,10 @@ def data_set_of(scene: Scene) -> str:
 
 
 def keeps_exposures_for_testing(scene: Scene) -> bool:
-    """Whether ``scene`` is laid out as a published benchmark: some of its exposures are for testing alone.
+    """Whether ``scene`` has the layout of a published benchmark, with some exposures for testing only.
 
-    Whatever it is called and at whatever size it is read, or a benchmark at half its size would be none.
-    Not so what we have made ourselves, by rendering or by ``physhdr prepare``.
+    For any name and size, to include benchmarks at half their size. Not for our own data sets, rendered or
+    made by ``physhdr prepare``.
     """
     ours = bool(scene.info) or (scene.root / CAPTURE_FILE).is_file()
     return not ours and any(scene.layout in benchmark.layouts for benchmark in BENCHMARKS.values())

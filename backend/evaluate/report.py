@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An evaluation as files and tables: JSON, CSV for each row, Markdown, and a table for the terminal."""
+"""An evaluation as files and tables: JSON, CSV of all rows, Markdown, and tables for the terminal."""
 
 import csv
 import dataclasses
@@ -19,7 +19,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.run_folder import EVALUATION_FILE, REPORT_FILE, SHEET_FILE
 from .results import NOVEL, OBSERVED, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, Metrics, RelitMeans
 
-#: What an empty cell of a table shows: not computed.
+#: An empty cell of a table: not computed.
 NONE = "–"
 
 #: Columns of the table of views: (heading, metric, digits) for each of OE, NE and HDR.
@@ -29,9 +29,9 @@ RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "ga
 
 REPORT_FILES = (EVALUATION_FILE, "evaluation.csv", REPORT_FILE)
 RESPONSE_FILE = "response.png"
-#: Several methods on one table and one sheet.
+#: Several methods in one table and one sheet.
 METHODS_FILES = ("methods.md", "methods.csv", "methods.png")
-#: Whatever an evaluation leaves in a run's folder.
+#: All files that an evaluation writes into a run's folder.
 FILES = (*REPORT_FILES, SHEET_FILE, RESPONSE_FILE, *METHODS_FILES)
 
 
@@ -84,7 +84,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write ``evaluation.json``, ``.csv`` (one line for each row) and ``.md`` into ``folder``, atomically.
+    """Write ``evaluation.json``, ``.csv`` (one line per row) and ``.md`` into ``folder``, atomically.
 
     Returns the three paths; raises ``OutputError``.
     """
@@ -103,7 +103,7 @@ def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 
 def to_csv(evaluation: Evaluation) -> str:
-    """One line for each comparison, for spreadsheets: what it is, then its numbers."""
+    """One line per comparison, for spreadsheets: its labels, then its numbers."""
     columns = ["part", "view", "index", "exposure_index", "exposure", "light", "normaliser", "scale_ratio"]
     columns += ["psnr", "ssim", "lpips", "lpips_01", "psnr_scaled_truth", "psnr_scaled_ours"]
     columns += ["psnr_best_scaled_truth", "factor", "best_factor"]
@@ -131,7 +131,7 @@ def to_csv(evaluation: Evaluation) -> str:
 
 
 def to_markdown(evaluation: Evaluation) -> str:
-    """The tables as Markdown, with the conditions under them."""
+    """The tables as Markdown, with the conditions below."""
     parts = [
         _markdown_table(("", *METRIC_COLUMNS), _metric_cells(evaluation)),
         _markdown_table(("LDR at", "part", *METRIC_COLUMNS), _exposure_cells(evaluation)),
@@ -168,17 +168,17 @@ def _bits(evaluation: Evaluation) -> str:
 
 
 def _exposures_seen(evaluation: Evaluation) -> str:
-    """How training chose exposures, and of which where these are not the protocol's."""
+    """How training chose exposures, and from which if not the protocol's."""
     mode, seen = f"exposure mode {evaluation.exposure_mode}", evaluation.training_exposures
     if seen is None or seen == OBSERVED_EXPOSURES:
         return mode
-    if len(seen) == 1:  # of one both modes are the same
+    if len(seen) == 1:  # both modes are the same
         return f"trained on one exposure a view, index {seen[0]}"
     return f"{mode}, of exposure indices {_listed(seen)}"
 
 
 def conditions(evaluation: Evaluation) -> list[str]:
-    """What must stand beside the numbers: split, exposure mode, normaliser, μ, scale ratio."""
+    """The conditions reported with the numbers: split, exposure mode, normaliser, μ, scale ratio."""
     width, height = evaluation.resolution
     views = len({row.view for row in evaluation.ldr})
     parts = evaluation.parts
@@ -250,7 +250,7 @@ def _four(metrics: Metrics) -> tuple[str, ...]:
 
 
 def _view_table(evaluation: Evaluation) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings and a row for each view; columns that nothing fills are left out."""
+    """Headings and a row for each view, without empty columns."""
     views = evaluation.views
     columns: list[tuple[str, list[str]]] = []
     for heading, metric, digits in VIEW_METRICS:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of errors: how far a picture is from the truth, in colours whose brightness rises with it."""
+"""Error images: differences from the truth as colours of rising brightness."""
 
 import numpy as np
 import torch
 
-#: Residuals are shown this many times too large: a tenth of the range is the brightest colour.
+#: Residuals are magnified by this factor: a tenth of the range is the brightest colour.
 RESIDUAL_GAIN = 10.0
 
 #: 17 knots of matplotlib's colour map *inferno* (Smith and van der Walt, CC0), but black for no error. Its
@@ -31,6 +31,6 @@ def residual(picture: torch.Tensor, reference: torch.Tensor, gain: float = RESID
 
 
 def legend(width: int, gain: float = RESIDUAL_GAIN, height: int = 20) -> tuple[str, np.ndarray]:
-    """A label, and the colours from no error to the largest that is told apart: ``[height, width, 3]``."""
+    """A label, and the colours from no error to the largest that is distinguished: ``[height, width, 3]``."""
     bar = np.broadcast_to(heat(np.linspace(0.0, 1.0, width)), (height, width, 3))
     return f"residual: 0 to {1.0 / gain:.3g} of white", np.ascontiguousarray(bar)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The camera response that a method learned, against the true one: numbers and a figure.
+"""Compares a learned camera response with the true one: numbers and a figure.
 
-A response maps exposure × radiance (absolute: seconds × scene-linear radiance) to a code value in 0…1. Where
-a data set has true radiance, its pictures show the true response, whatever curve made them: the code that
-pixels of one exposure × radiance got. A shift of the learned curve along its logarithmic axis is an error of
-the radiance's absolute scale.
+A response maps exposure × radiance (absolute: seconds × scene-linear radiance) to a code value in 0…1. If a
+data set has true radiance, its pictures show the true response, whatever its formula: the codes of pixels of
+equal exposure × radiance. A shift of the learned curve along its logarithmic axis is an error of the
+radiance's absolute scale.
 """
 
 from collections.abc import Callable
@@ -26,9 +26,9 @@ from .metrics import averaged_to
 from .renderer import Renderer
 from .results import VIEWS_OF, ResponseCheck
 
-#: Pixels are gathered in bins of this many stops between these ends; a bin counts with this many values.
+#: Pixels are collected in bins of this many stops between these ends; a bin needs this many values.
 BIN_STOPS, BIN_ENDS, BIN_VALUES = 0.25, (-16.0, 16.0), 50
-#: Codes in which a curve says where it is: below is noise and black, above white.
+#: Range of informative codes: below is noise and black, above white.
 TELLING = (0.02, 0.98)
 #: A fall smaller than this (of 1) is rounding: a thousandth of a step of 8 bit.
 FALL_TOLERANCE = 1e-3 / 255.0
@@ -38,27 +38,27 @@ CHANNELS = {"red": "#c8372d", "green": "#2c8c3c", "blue": "#2b5fc0"}
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """``exposure`` ``[M]``, rising: exposure × radiance. ``code`` ``[M, 3]``: 0…1, NaN where not known."""
+    """``exposure`` ``[M]``, rising: exposure × radiance. ``code`` ``[M, 3]``: 0…1, NaN where unknown."""
 
     exposure: np.ndarray
     code: np.ndarray
 
 
 def learned_response(method: Renderer) -> Curve | None:
-    """The curve that ``method.response_curve()`` gives, (ln(exposure × radiance) ``[M]``, LDR ``[M, 3]``).
+    """The curve of ``method.response_curve()``, (ln(exposure × radiance) ``[M]``, LDR ``[M, 3]``).
 
-    None where the method has none, or did not learn it.
-    Raises ``BadValueError`` for other shapes, NaN, or exposures that fall.
+    None if the method has none, or did not learn it.
+    Raises ``BadValueError`` for other shapes, NaN, or falling exposures.
     """
-    given = method.response_curve() if method.learns_response else None
-    if given is None:
+    curve = method.response_curve() if method.learns_response else None
+    if curve is None:
         return None
-    log_exposure, code = (part.detach().cpu().double().numpy() for part in given)
+    log_exposure, code = (part.detach().cpu().double().numpy() for part in curve)
     sound = code.shape == (len(log_exposure), 3) and len(code) > 1 and (np.diff(log_exposure) > 0).all()
     if not sound or not (np.isfinite(code).all() and np.isfinite(log_exposure).all()):
         raise BadValueError(
             f"a response curve must be finite [M] rising and [M, 3], got {log_exposure.shape}, {code.shape}",
-            "Train again, or use a checkpoint before.",
+            "Train again, or use an earlier checkpoint.",
         )
     return Curve(np.exp(log_exposure), code)
 
@@ -67,11 +67,11 @@ def learned_response(method: Renderer) -> Curve | None:
 
 
 def stated_response(info: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray] | None:
-    """The curve that ``dataset.json`` states by a formula or by its points; None where it does not.
+    """The curve in ``dataset.json``, by a formula or by its points; None if it states none.
 
-    Noise, white balance, vignetting and exposures that are off leave it for what it is; of a camera with a
-    local response it is not all (``true_response``).
-    Raises ``BadValueError`` for a curve that is not pairs of numbers whose first rises.
+    It does not include noise, white balance, vignetting, wrong exposures, or a camera's local response
+    (``true_response``).
+    Raises ``BadValueError`` for a curve that is not a list of pairs with rising first numbers.
     """
     match info.get("response"):
         case {"curve": points} if points is not None:
@@ -87,7 +87,7 @@ def stated_response(info: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray] 
 
 
 def _columns(points: Any) -> tuple[np.ndarray, np.ndarray]:
-    """exposure × radiance ``[N]``, rising, and code ``[N]`` of a curve as ``dataset.json`` has it."""
+    """exposure × radiance ``[N]``, rising, and code ``[N]`` of a curve in ``dataset.json``."""
     try:
         columns = np.array(points, np.float64).T
     except (TypeError, ValueError, OverflowError):  # text, or rows of different lengths
@@ -103,10 +103,10 @@ def _columns(points: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def measured_response(scene: Scene, split: str = TEST) -> Curve | None:
-    """The response that the pictures of ``split`` show: the median code of pixels in each bin of exposure.
+    """The response measured in the pictures of ``split``: the median code of pixels in each bin of exposure.
 
     From 8-bit codes (the upper 8 of 16) of a camera's pictures against exposure × true radiance, each channel
-    by itself. None without true radiance of that split, of which alone anything is opened.
+    by itself. None without true radiance of that split. Opens no other split.
     Raises what ``read_codes`` and ``read_exr`` raise.
     """
     views = scene.splits[split]
@@ -187,9 +187,9 @@ def check_response(learned: Curve, true: Curve | None) -> ResponseCheck:
 
 
 def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str = TEST) -> ResponseCheck:
-    """Draw the learned response of each channel, the true one and the anchor into ``path`` (.png).
+    """Plot the learned response of each channel, the true one and the anchor into ``path`` (.png).
 
-    ``split``: whose pictures and truth show the true one.
+    ``split``: measures the true one.
     Returns the check. Raises ``PackageMissingError`` without matplotlib, ``OutputError``, and what reading
     the data set raises.
     """
@@ -233,7 +233,7 @@ def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str =
 
 
 def _shown(learned: Curve, measured: Curve | None) -> tuple[float, float]:
-    """The exposures worth showing: where the data are, or where the learned curve is not black or white."""
+    """The range to plot: that of the data, or where the learned curve is neither black nor white."""
     if measured is not None:
         return float(measured.exposure[0]), float(measured.exposure[-1])
     mean = learned.code.mean(axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The numbers of an evaluation: one row for each comparison, and the means that the tables show."""
+"""The numbers of an evaluation: one row per comparison, and the means in the tables."""
 
 import math
 from collections.abc import Sequence
@@ -11,17 +11,17 @@ from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.lights import in_words
 from .metrics import MU
 
-#: Exposure indices of the paper's two columns: those that training sees, and those between.
+#: Exposure indices of the paper's two columns: those seen in training, and those between.
 OBSERVED_EXPOSURES = (0, 2, 4)
 NOVEL_EXPOSURES = (1, 3)
 OBSERVED, NOVEL = "LDR-OE", "LDR-NE"
-#: The views of a split that is evaluated, in words.
+#: Names of the views of a split.
 VIEWS_OF = {TEST: "test views", VALIDATION: "validation views"}
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """PSNR in dB (at most ``PSNR_CAP``), SSIM, LPIPS (canonical), LPIPS 01 (the paper's); None: left out."""
+    """PSNR in dB (at most ``PSNR_CAP``), SSIM, LPIPS (canonical), LPIPS 01 (the paper's); None: skipped."""
 
     psnr: float
     ssim: float
@@ -42,9 +42,9 @@ class LdrRow:
 
 @dataclass(frozen=True)
 class HdrRow:
-    """One view: M, its own median scale ratio, the metrics as they are and with the scale aligned.
+    """One view: M, its own median scale ratio, the metrics without and with the scale aligned.
 
-    The ratio is NaN where all that is compared of the truth is black.
+    The ratio is NaN if all of the compared truth is black.
     """
 
     view: str
@@ -59,10 +59,10 @@ class HdrRow:
 class RelitRow:
     """One test view under other light: PSNR in dB of pictures against the relit truth.
 
-    ``levels``: of the lights that are changed, by name. ``scaled_truth`` is ``factor`` × the true radiance
-    under the standard light, ``scaled_ours`` ``factor`` × ours there. ``factor``: the level where a single
-    light is changed (and not switched off), else ``best_factor``, the median of relit truth / true radiance;
-    ``best_scaled_truth`` is that × the true radiance, whatever is changed: as good as scaling can be.
+    ``levels``: of the changed lights, by name. ``scaled_truth`` is for ``factor`` × the true radiance under
+    the standard light, ``scaled_ours`` for ``factor`` × ours. ``factor``: the level if a single light is
+    changed (and not off), else ``best_factor``, the median of relit truth / true radiance;
+    ``best_scaled_truth`` is for that × the true radiance: as good as scaling can be.
     """
 
     levels: dict[str, float]
@@ -111,7 +111,7 @@ class ExposureMeans:
 
 @dataclass(frozen=True)
 class ViewMeans:
-    """One view: its own LDR-OE and LDR-NE over the exposures it has, and its HDR row; None: not there."""
+    """One view: its own LDR-OE and LDR-NE over its exposures, and its HDR row; None: not available."""
 
     view: str
     index: int
@@ -145,13 +145,12 @@ class RelitMeans:
 
 @dataclass(frozen=True)
 class ResponseCheck:
-    """What is wrong with a learned response; each number is the worst of the three channels.
+    """Errors of a learned response; each number is the worst of the three channels.
 
     ``largest_fall``: how far the code falls anywhere while exposure rises (0: monotonic), in 1/255.
-    ``rms_error``, ``largest_error``: of the code against the true curve where that is telling, in 1/255.
+    ``rms_error``, ``largest_error``: of the code against the true curve where that is informative, in 1/255.
     ``scale``: the median of learned / true exposure at equal code, over all channels (1: the absolute scale
-    is right). None: the true response is not known; ``scale`` alone: no true code is one that the learned
-    curve passes.
+    is right). None: the true response is unknown; ``scale`` only: the learned curve reaches no true code.
     """
 
     largest_fall: float
@@ -166,7 +165,7 @@ class ResponseCheck:
     def __str__(self) -> str:
         rises = "rises everywhere" if self.is_monotonic else f"FALLS by {self.largest_fall:.2f}/255"
         if self.rms_error is None:
-            return f"response: {rises}; the true one is not known"
+            return f"response: {rises}; the true one is unknown"
         scale = "not measurable" if self.scale is None else f"at equal code {self.scale:.4f}"
         return (
             f"response: {rises}; against the true one {self.rms_error:.2f}/255 RMS, at most "
@@ -176,14 +175,14 @@ class ResponseCheck:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Every number, row by row; means are computed from them. ``messages``: what was left out, and why.
+    """All numbers, row by row; means are computed from them. ``messages``: what was skipped, and why.
 
-    ``split``: which views they are of, test or val.
-    ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
-    ``response``: of a method with a global response curve. ``iteration``: what was evaluated, of the
-    ``iterations`` that were planned; None: not known. ``eight_bit``: whether all pictures went through 8 bit.
-    ``training_exposures``: the places in the bracket that training chose from; None: not known.
-    ``falloff_used``: whether the pictures have the vignetting that was learned, and are compared with it.
+    ``split``: test or val.
+    ``data_set``: the published benchmark that the scene belongs to (``published.data_set_of``), else "".
+    ``response``: of a method with a global response curve. ``iteration``: the evaluated one of the planned
+    ``iterations``; None: unknown. ``eight_bit``: whether all pictures were quantised to 8 bit.
+    ``training_exposures``: the places in the bracket that training chose from; None: unknown.
+    ``falloff_used``: whether the pictures have the learned vignetting, and are compared with it.
     """
 
     scene: str
@@ -210,13 +209,13 @@ class Evaluation:
 
     @property
     def parts(self) -> dict[str, list[int]]:
-        """The exposure indices of the two columns: the paper's, and what longer brackets have beyond."""
-        there = {*OBSERVED_EXPOSURES, *NOVEL_EXPOSURES, *(row.exposure_index for row in self.ldr)}
-        return {part: sorted(k for k in there if part_of(k) == part) for part in (OBSERVED, NOVEL)}
+        """The exposure indices of the two columns: the paper's, and further ones of longer brackets."""
+        places = {*OBSERVED_EXPOSURES, *NOVEL_EXPOSURES, *(row.exposure_index for row in self.ldr)}
+        return {part: sorted(k for k in places if part_of(k) == part) for part in (OBSERVED, NOVEL)}
 
     @property
     def ldr_oe(self) -> Metrics | None:
-        """LDR at the exposures that training saw."""
+        """LDR at the exposures seen in training."""
         return self.ldr_mean(OBSERVED)
 
     @property
@@ -276,7 +275,7 @@ class Evaluation:
 
     @property
     def relit_conditions(self) -> list[str]:
-        """The mixtures of light there are rows for (``ambient 4 + pendant 0.25``), in the truth's order."""
+        """The mixes of lights with rows (``ambient 4 + pendant 0.25``), in the truth's order."""
         return list(dict.fromkeys(row.condition for row in self.relit))
 
     def relit_mean(self, condition: str | None = None) -> RelitMeans | None:
@@ -293,12 +292,12 @@ class Evaluation:
 
 
 def part_of(place: int) -> str:
-    """To which of the two columns an exposure belongs: in brackets of more than five they go on in turn."""
+    """The column that an exposure belongs to; in brackets of more than five they keep alternating."""
     return NOVEL if place % 2 else OBSERVED
 
 
 def middle_ratio(ratios: Sequence[float]) -> float | None:
-    """The median of those scale ratios that are numbers (of black there is none); None where none is."""
+    """The median of the finite scale ratios (black has none); None without any."""
     numbers = [ratio for ratio in ratios if math.isfinite(ratio)]
     return float(np.median(numbers)) if numbers else None
 

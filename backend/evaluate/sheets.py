@@ -23,17 +23,17 @@ from .renderer import Renderer
 from .residuals import RESIDUAL_GAIN, legend, residual
 from .results import OBSERVED_EXPOSURES, VIEWS_OF, part_of
 
-#: What is shown as white in HDR pictures. The metrics keep the protocol's own normaliser, the maximum.
+#: Quantile shown as white in HDR pictures. The metrics use the protocol's own normaliser, the maximum.
 WHITE_QUANTILE = 0.999
-#: From so far off on (natural logarithm), HDR is shown with its scale aligned, too.
+#: If the scale is off by more than this (natural logarithm), HDR is also shown with its scale aligned.
 SCALE_OFF = 0.02
-#: Cells narrower than this (pixels) are enlarged by a whole factor, so that labels fit and faults show.
+#: Cells narrower than this (pixels) are enlarged by an integer factor, so that labels fit and faults show.
 SMALLEST_CELL = 240
 
 PAPER, INK, FAINT, FRAME = (255, 255, 255), (24, 24, 28), (96, 96, 104), (200, 200, 206)
 TITLE_SIZE, LABEL_SIZE = 26, 17
 MARGIN, GAP, LABEL_GAP = 24, 14, 5
-#: Pillow's built-in font draws boxes for these.
+#: Pillow's built-in font lacks these.
 SPELLED_OUT = {"×": "x", "μ": "mu", "µ": "mu", "σ": "sigma", "–": "-", "—": "-", "−": "-", "→": "->"}
 SPELLED_OUT |= {"≥": ">=", "≤": "<=", "¼": "1/4", "½": "1/2", "¾": "3/4", "∞": "inf", "’": "'"}
 
@@ -41,11 +41,11 @@ Cell = tuple[str, np.ndarray]
 
 
 def labelled_grid(rows: list[list[Cell]], title: str, note: str = "") -> np.ndarray:
-    """Pictures in rows and columns, each under its label: ``[H, W, 3]`` uint8, white paper.
+    """Pictures in rows and columns, each under its label: ``[H, W, 3]`` uint8, on white.
 
     A cell is (label, ``[h, w, 3]`` uint8); sizes may differ, rows may have different lengths, and small
-    pictures are enlarged without smoothing. ``note`` stands small below the title. Raises ``BadValueError``
-    for no cells or a picture of another kind.
+    pictures are enlarged without smoothing. ``note``: small text below the title. Raises ``BadValueError``
+    for no cells or another kind of picture.
     """
     cells = [[(label, _enlarged(picture, label)) for label, picture in row] for row in rows if row]
     if not cells:
@@ -76,12 +76,12 @@ def labelled_grid(rows: list[list[Cell]], title: str, note: str = "") -> np.ndar
     ):
         x = MARGIN
         for (_, picture), lines, width in zip(row, row_labels, widths, strict=False):
-            # Labels stand directly above their picture, even where a neighbour's takes more lines.
+            # Labels are directly above their picture, even if a neighbour's has more lines.
             top = y + label_height - len(lines) * _line_height(label_font)
             for i, line in enumerate(lines):
                 draw.text((x, top + i * _line_height(label_font)), line, INK, label_font)
             corner = (x, y + label_height + LABEL_GAP)
-            # A hairline outside the picture: a saturated one would melt into the paper.
+            # A thin frame, because a white picture would merge with the background.
             far = (corner[0] + picture.shape[1], corner[1] + picture.shape[0])
             draw.rectangle((corner[0] - 1, corner[1] - 1, *far), outline=FRAME)
             sheet.paste(Image.fromarray(picture), corner)
@@ -124,7 +124,7 @@ def as_picture(image: torch.Tensor) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Shown:
-    """What a sheet shows of one renderer under one condition, ``[3, H, W]`` in 0…1, and its numbers."""
+    """One renderer's image under one condition, ``[3, H, W]`` in 0…1, and its numbers."""
 
     picture: torch.Tensor
     reference: torch.Tensor
@@ -148,12 +148,11 @@ def comparison_sheet(
 ) -> np.ndarray:
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
-    ``poses``: pose numbers; None takes one that has relit truth, or the middle one, of those that are not
-    masked altogether. Exposures that a view lacks and parts without truth have no rows; relit truth is of
-    test views. ``hdr`` and ``shows`` as for ``evaluate``; ``name``: whose pictures they are; ``scale``: the
-    evaluation's ``scale_ratio``: where that is off, HDR stands there once more, divided by it; ``falloff``:
-    the vignetting with which the evaluation compared, None: without. Raises ``BadValueError`` for an unknown
-    pose, and what readers raise.
+    ``poses``: pose numbers; None: one that is not entirely masked, with relit truth if possible, else the
+    middle one. Missing exposures and parts without truth have no rows; relit truth exists for test views
+    only. ``hdr`` and ``shows`` as for ``evaluate``; ``name``: of the renderer; ``scale``: the evaluation's
+    ``scale_ratio``: if it is off, HDR is shown a second time, divided by it; ``falloff``: the evaluation's
+    vignetting, None: without. Raises ``BadValueError`` for an unknown pose, and what readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     relit, published = _relit(scene, split), bool(data_set_of(scene))
@@ -191,13 +190,12 @@ def method_sheet(
     scales: Mapping[str, float | None] | None = None,
     falloffs: Mapping[str, Falloff | None] | None = None,
 ) -> np.ndarray:
-    """Several methods beside the truth: each condition is a row of pictures over a row of residuals; uint8.
+    """Several methods and the truth: each condition is a row of pictures above a row of residuals; uint8.
 
-    ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
-    that training saw and one between) and HDR where there is truth; ``poses`` and ``split`` as in
-    ``comparison_sheet``. ``without_hdr``: names of those that have no radiance; ``scales``: of the others,
-    the evaluation's ``scale_ratio``: where one is off, HDR stands there once more, divided by it;
-    ``falloffs``: of those compared with vignetting, as ``falloff`` there.
+    ``renderers``: by their name in captions. The conditions are the exposures (by default one seen in
+    training and one between) and HDR if there is truth; ``poses`` and ``split`` as in ``comparison_sheet``.
+    ``without_hdr``: names of those without radiance; ``scales``: the others' ``scale_ratio``: if one is off,
+    HDR is shown a second time, divided by it; ``falloffs``: by name, as ``falloff`` there.
     Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
     """
     if not renderers:
@@ -248,13 +246,13 @@ def _poses(scene: Scene, split: str, poses: list[int] | None, relit: list[truth.
 
 
 def _is_compared(view: View) -> bool:
-    """Whether any pixel of all its pictures is."""
+    """Whether any pixel is compared in all its pictures."""
     mask = compared_everywhere(view)
     return mask is None or bool(mask.any())
 
 
 def _positions(view: View, exposure_indices: Sequence[int]) -> list[int]:
-    """Where in the view's lists these indices of its bracket stand; those that it lacks are left out."""
+    """The positions of these bracket indices in the view's lists, without missing ones."""
     return [view.bracket.index(k) for k in exposure_indices if k in view.bracket]
 
 
@@ -294,7 +292,7 @@ def _hdr(
 
 
 def display_white(radiance: torch.Tensor) -> float:
-    """The radiance to show as white: a high percentile, because a bare bulb would leave the rest black."""
+    """The radiance shown as white: a high percentile, because a bare bulb would leave the rest black."""
     flat = radiance.flatten().double()
     return max(float(torch.quantile(flat[:: max(1, flat.numel() // 1_000_000)], WHITE_QUANTILE)), 1e-6)
 
@@ -308,7 +306,7 @@ def _row(label: str, name: str, shown: Shown, gain: float) -> list[Cell]:
 
 
 def _method_rows(label: str, shown: dict[str, Shown], gain: float) -> list[list[Cell]]:
-    """A row of pictures with their numbers, and below it their residuals beside the legend."""
+    """A row of pictures with their numbers, and below it the legend and their residuals."""
     reference = as_picture(next(iter(shown.values())).reference)
     pictures: list[Cell] = [(f"{label}: truth", reference)]
     residuals: list[Cell] = [legend(max(SMALLEST_CELL, reference.shape[1]), gain)]

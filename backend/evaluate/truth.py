@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The true radiance of a data set, in whichever layout. Only evaluation may ask for it: no module that trains
-imports this, and no ``Scene`` leads here.
+"""The true radiance of a data set, in any layout. For evaluation only: no training module imports this, and
+no ``Scene`` refers to it.
 """
 
 import math
@@ -23,7 +23,7 @@ from ..scene.source import exr_rec709
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a layout keeps its true radiance: a folder, and the name of a pose's file in it."""
+    """Where a layout stores its true radiance: a folder, and the name of a pose's file in it."""
 
     folder: Callable[[str], str]
     file: Callable[[str, int], str]
@@ -46,7 +46,7 @@ def _place(root: Path, split: str) -> _Place | None:
 
 
 def hdr_truth_path(root: Path, split: str, index: int) -> Path:
-    """Where the true radiance of pose ``index`` of ``split`` (train, test, lit, val) lies, or would lie.
+    """Path of the true radiance of pose ``index`` of ``split`` (train, test, lit, val), existing or not.
 
     ``test_hdr/hdr_003.exr``, ``images_hdr/test_hdr_003.exr`` (GaussHDR) or ``exr/3.exr`` (HDR-GS).
     """
@@ -54,7 +54,7 @@ def hdr_truth_path(root: Path, split: str, index: int) -> Path:
 
 
 def has_hdr_truth(root: Path, split: str) -> bool:
-    """Whether the data set knows the true radiance of ``split`` at all (photographs do not)."""
+    """Whether the data set has the true radiance of ``split`` (photographs do not)."""
     return _place(root, split) is not None
 
 
@@ -65,9 +65,9 @@ def hdr_truth(root: Path, split: str, index: int) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class RelitTruth:
-    """The true picture of test pose ``index`` with each light of ``levels`` so many times as strong.
+    """The true picture of test pose ``index`` with each light in ``levels`` multiplied by its level.
 
-    Lights that ``levels`` does not name are as in the standard views.
+    Other lights are as in the standard views.
     """
 
     levels: dict[str, float]
@@ -81,20 +81,20 @@ class RelitTruth:
 
     @property
     def level(self) -> float | None:
-        """The ambient light's level, where that light alone is changed."""
+        """The ambient light's level, if only that light is changed."""
         return self.levels.get(AMBIENT) if len(self.levels) == 1 else None
 
     @property
     def changed(self) -> dict[str, float]:
-        """The lights that are not as in the standard views, and their levels."""
+        """The lights that differ from the standard views, and their levels."""
         return {name: level for name, level in self.levels.items() if level != 1.0}
 
     def can_be_shown(self, lights: Sequence[str]) -> bool:
-        """Whether a model with levels for ``lights`` has one for every light that is changed."""
+        """Whether a model with levels for ``lights`` has one for every changed light."""
         return all(name in lights for name in self.changed)
 
     def levels_of(self, lights: Sequence[str]) -> tuple[float, ...]:
-        """A level for each of ``lights``; raises ``BadValueError`` where one that is changed is not there."""
+        """A level for each of ``lights``; raises ``BadValueError`` if a changed one is missing."""
         return named_levels(self.changed, lights, self.condition)
 
     def radiance(self) -> torch.Tensor:
@@ -103,11 +103,11 @@ class RelitTruth:
 
 
 def relit_truth(root: Path) -> list[RelitTruth]:
-    """All relit true pictures, condition by condition, in each by pose; empty if the data set has none.
+    """All relit true pictures by condition and pose; empty if the data set has none.
 
     ``dataset.json`` lists folders and their levels under ``relit``; without that list each folder
     ``relit/level_0.25`` is of the ambient light, ordered by its level. Raises ``BadValueError``,
-    ``FileDamagedError`` and ``FileMissingError`` where a folder, its levels or a file's name mean nothing.
+    ``FileDamagedError`` and ``FileMissingError`` for an invalid folder, level or file name.
     """
     root = Path(root)
     if not (root / data_set.RELIT_FOLDER).is_dir():
@@ -127,7 +127,7 @@ def relit_truth(root: Path) -> list[RelitTruth]:
 
 
 def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
-    """The folders ``relit/level_0.25`` and what they say of the ambient light, rising."""
+    """The folders ``relit/level_0.25`` and their ambient levels, rising."""
     found = []
     for folder in (root / data_set.RELIT_FOLDER).glob("level_*"):
         levels = data_set.mixture_levels(folder.name)
@@ -142,7 +142,7 @@ def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
 
 
 def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None:
-    """What ``dataset.json`` lists under ``relit``, in its order; ``None`` where it lists nothing."""
+    """The entries under ``relit`` in ``dataset.json``, in its order; ``None`` without any."""
     path = root / data_set.INFO_FILE
     if not path.exists():
         return None
@@ -174,7 +174,7 @@ def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None
             check_level(level, f"{where}: the level of {light!r:.80}")
         if not os.path.isdir(folder):  # Path.is_dir raises where a name is too long
             raise FileMissingError(
-                f"{folder!s:.400} is missing, which {path.name} lists",
+                f"{folder!s:.400}, listed in {path.name}, is missing",
                 "Make the data set again, or copy it again.",
             )
         found.append((folder, {str(light): float(level) for light, level in levels.items()}))

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures one after the other into a video that every player shows (H.264, 4:2:0), an animated WebP that a
-web page loops, or PNG files.
-"""
+"""Writes frames as a video for all players (H.264, 4:2:0), an animated WebP for web pages, or PNG files."""
 
 import json
 import os
@@ -22,48 +20,47 @@ from ..optional import needed
 from ..scene.pictures import write_png
 
 CONTAINERS = (".mp4", ".mov", ".mkv")
-#: An animated picture, which needs no package beside Pillow.
+#: An animated image, which needs no package but Pillow.
 ANIMATION = ".webp"
-#: x264's constant rate factor: 18 is taken for visually lossless, 0 is lossless, 51 the worst.
+#: x264's constant rate factor: 18 is considered visually lossless, 0 is lossless, 51 the worst.
 QUALITY = 16
 #: Codes of ITU-T H.273: primaries BT.709, transfer sRGB (IEC 61966-2-1), matrix BT.709, limited range.
 PRIMARIES, TRANSFER, MATRIX, LIMITED_RANGE = 1, 13, 1, 1
-#: libwebp's quality, 0 to 100, and how hard it tries, 0 to 6.
+#: libwebp's quality, 0 to 100, and effort, 0 to 6.
 WEBP_QUALITY, WEBP_EFFORT = 80, 6
 #: The format's longest side, pixels.
 WEBP_SIDE = 16383
-#: Pillow takes all frames of an animation at once: so many bytes of them are held at most.
+#: Maximum bytes of an animation's frames, which Pillow takes all at once.
 WEBP_BYTES = 2**30
-#: Beside numbered frames: how many of them are ours.
+#: Stores, next to numbered frames, how many of them are ours.
 FRAMES_FILE = "video.frames.json"
 FRAMES_FORMAT, FRAMES_VERSION = "physhdr-video-frames", 1
 
 
 class FrameSink(Protocol):
-    """Where frames go: ``[H, W, 3]`` uint8, all of one size."""
+    """Takes frames ``[H, W, 3]`` uint8, all of one size."""
 
     def __call__(self, frame: np.ndarray) -> None: ...
 
 
 def require_suffix(path: Path) -> None:
-    """Raise ``BadValueError`` unless the name ends as a video that can be written."""
+    """Raise ``BadValueError`` unless the suffix is that of a video that can be written."""
     if path.suffix.lower() not in (*CONTAINERS, ANIMATION):
         raise BadValueError(
             f"a video must end in {', '.join(CONTAINERS)} or {ANIMATION}, got {path.name}",
-            f"Take .mp4 for players, {ANIMATION} for a web page, or a folder, of numbered PNG files, for "
-            "any other program; .exr or .png for one picture.",
+            f"Use .mp4 for players, {ANIMATION} for a web page, or a folder (of numbered PNG files) for "
+            "other programs; .exr or .png for one picture.",
         )
 
 
 @contextmanager
 def video_writer(path: Path, fps: int | Fraction) -> Iterator[FrameSink]:
-    """A sink that encodes frames into ``path``, which is there once the block has ended without an error.
+    """A sink that encodes frames into ``path``, which exists once the block has ended without an error.
 
-    Its suffix says how: one of ``CONTAINERS`` is H.264, whose pixels are tagged as the sRGB codes that they
-    are; an odd last row or column is repeated once, for 4:2:0 has none. ``ANIMATION`` is a WebP, looped for
-    ever (sRGB by the format's definition). Raises ``BadValueError`` for another suffix, frames of another
-    size or too many of them for a WebP, ``PackageMissingError`` without PyAV (not for a WebP),
-    ``OutputError`` where it cannot be written.
+    The suffix sets the format: one of ``CONTAINERS`` is H.264, tagged as sRGB; an odd last row or column is
+    repeated once, because 4:2:0 needs even sizes. ``ANIMATION`` is a WebP that loops forever (sRGB by the
+    format's definition). Raises ``BadValueError`` for another suffix, frames of another size or too many for
+    a WebP, ``PackageMissingError`` without PyAV (not for a WebP), ``OutputError`` if it cannot be written.
     """
     path = Path(path)
     require_suffix(path)
@@ -104,8 +101,8 @@ def _webp_writer(path: Path, fps: Fraction) -> Iterator[FrameSink]:
                 )
             if (len(frames) + 1) * frame.size > WEBP_BYTES:
                 raise BadValueError(
-                    f"{path.name}: the frames of an animated WebP may take {WEBP_BYTES >> 30} GiB, which "
-                    f"are full after {len(frames)} frames",
+                    f"{path.name}: an animated WebP may take {WEBP_BYTES >> 30} GiB, which {len(frames)} "
+                    "frames fill",
                     "Lower --seconds, --fps or --width, or write an .mp4.",
                 )
             frames.append(Image.fromarray(frame))
@@ -113,7 +110,7 @@ def _webp_writer(path: Path, fps: Fraction) -> Iterator[FrameSink]:
         yield hold
         if not frames:
             raise BadValueError("a video needs at least one frame")
-        # Whole milliseconds, whose sum does not drift from the clock.
+        # Integer milliseconds whose sum does not drift.
         ends = [round(1000 * number / fps) for number in range(len(frames) + 1)]
         frames[0].save(
             temporary,
@@ -135,7 +132,7 @@ def _require_alike(frame: np.ndarray, number: int, shape: tuple[int, ...]) -> No
 
 
 class _Encoder:
-    """The stream, made when the first frame tells its size."""
+    """The stream, created with the size of the first frame."""
 
     def __init__(self, av, container, fps: Fraction) -> None:
         self._av, self._container, self._fps = av, container, fps
@@ -163,7 +160,7 @@ class _Encoder:
         self._count += 1
 
     def finish(self) -> None:
-        """Write out what the encoder still holds."""
+        """Flush the encoder."""
         if self._stream is None:
             raise BadValueError("a video needs at least one frame")
         self._container.mux(self._stream.encode(None))
@@ -178,22 +175,22 @@ def frame_name(number: int) -> str:
 def frames_writer(folder: Path, count: int) -> Iterator[FrameSink]:
     """A sink that writes ``count`` frames, ``frame_0000.png`` …, into ``folder``.
 
-    ``FRAMES_FILE`` beside them says how many pictures of these names are a video's; no other is touched.
-    Frames of a longer video that was there before are removed at the end, if the block ends without an error.
-    Raises ``OutputError`` where a picture that is no video's has a frame's name, before anything is written,
-    or where the folder cannot be written; ``FileDamagedError`` where ``FRAMES_FILE`` cannot be read.
+    ``FRAMES_FILE`` next to them stores how many pictures of these names are a video's; others stay untouched.
+    Further frames of an earlier, longer video are removed at the end, if the block ends without an error.
+    Raises ``OutputError`` if another picture has a frame's name, before anything is written, or if the folder
+    cannot be written; ``FileDamagedError`` if ``FRAMES_FILE`` cannot be read.
     """
     folder = Path(folder)
-    ours = _frames_that_are_ours(folder)
+    ours = _own_frames(folder)
     for number in range(ours, count):
         path = folder / frame_name(number)
         if os.path.lexists(path):
             raise OutputError(
-                f"{path} is there, and nothing says that it is a video's frame",
+                f"{path} exists, and may not be a video's frame",
                 "Choose another folder for the frames, or move that picture away.",
             )
-    # Before the first frame: an interrupted video knows its own, and those that it was to replace.
-    _keep_in_mind(folder, max(ours, count))
+    # Before the first frame, so that an interrupted video's frames count as ours, too.
+    _store_count(folder, max(ours, count))
     done = 0
 
     def write(frame: np.ndarray) -> None:
@@ -209,11 +206,11 @@ def frames_writer(folder: Path, count: int) -> Iterator[FrameSink]:
                 path.unlink()
             except OSError as error:
                 raise OutputError(f"cannot remove {path}: {error.strerror}", "Remove it by hand.") from error
-    _keep_in_mind(folder, count)
+    _store_count(folder, count)
 
 
-def _frames_that_are_ours(folder: Path) -> int:
-    """How many of the folder's numbered pictures are a video's, from ``frame_0000.png`` on."""
+def _own_frames(folder: Path) -> int:
+    """How many of the folder's numbered pictures, from ``frame_0000.png`` on, are a video's."""
     path = folder / FRAMES_FILE
     if not path.exists():
         return 0
@@ -221,11 +218,11 @@ def _frames_that_are_ours(folder: Path) -> int:
     content = read_json_object(path, remedy)
     count = content.get("frames")
     if content.get("format") != FRAMES_FORMAT or type(count) is not int or count < 0:
-        raise OutputError(f"{path} is no {FRAMES_FORMAT} file", remedy)
+        raise OutputError(f"{path} is not a {FRAMES_FORMAT} file", remedy)
     return count
 
 
-def _keep_in_mind(folder: Path, count: int) -> None:
+def _store_count(folder: Path, count: int) -> None:
     with atomic_path(folder / FRAMES_FILE) as temporary:
         content = {"format": FRAMES_FORMAT, "version": FRAMES_VERSION, "frames": count}
         temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")

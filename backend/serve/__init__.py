@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The backend as a process that Blender steers: one thread talks, one works (docs/protocol.md).
+"""The backend as a process controlled by Blender: one thread communicates, one computes (docs/protocol.md).
 
-The *server* (``server``; ``admission`` lets clients in, ``control`` says who of them steers, ``client`` is
-one of them, ``frames`` ends a connection) runs an asyncio loop in a thread of its own. The *engine*
-(``engine``; ``requests`` checks what is asked, ``training`` does it, ``status`` tells of it, ``preview``
-draws, with what ``machine`` has) runs in the main thread and alone touches torch, the trainer and the model.
-Between them are the ``inbox`` (what is asked) and the server's few thread-safe functions (what is told).
-Nothing of the server imports torch, so that clients are answered while it loads.
+The *server* (``server``; ``admission`` authenticates clients, ``control`` decides which one is in control,
+``client`` is one of them, ``frames`` ends a connection) runs an asyncio loop in its own thread. The *engine*
+(``engine``; ``requests`` checks requests, ``training`` trains, ``status`` holds the state, ``preview``
+renders, ``machine`` manages threads and devices) runs in the main thread, the only one to use torch, the
+trainer and the model. Requests go through the ``inbox``, replies through a few thread-safe functions of the
+server. The server does not import torch, so that clients are answered while it loads.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who is let in: a program that has the token, says hello soon and speaks this version of the protocol."""
+"""Admits programs that have the token, send hello in time and use this version of the protocol."""
 
 import asyncio
 import functools
@@ -27,24 +27,23 @@ log = logging.getLogger(__name__)
 
 HELLO_SECONDS = 5.0
 CLIENTS_MAX = 16
-#: So many connections may be there of those who have shown no token; with the next one the oldest of them is
-#: dropped. Every user of the machine can make some, and each is an open file of this process, which needs
-#: others.
+#: Maximum number of connections without a token; beyond it, the oldest of them is dropped. Every user of the
+#: machine can open some, and each takes a file descriptor of this process, which needs others.
 STRANGERS_MAX = 128
-#: Connections that the system keeps until they are taken in; further ones have to try again after a second.
+#: Connections that the system queues until they are accepted; further ones must retry after a second.
 BACKLOG = 1024
-#: Lines of a request's first bytes in which the token is looked for.
+#: Lines of a request's first bytes that are searched for the token.
 LINES_MAX = 32
-#: Refusals are logged once in so many seconds, with their number: nobody shall fill the disk by knocking.
+#: Seconds between log entries about refusals, each with their number, so that nobody can fill the disk.
 REFUSALS_SECONDS = 10.0
 
 
-#: Connections of which nobody has shown yet that it has the token, the oldest first.
+#: Connections that have not sent the token yet, the oldest first.
 Strangers = dict[asyncio.Transport, None]
 
 
 class Connection(ServerConnection):
-    """A connection that has sent something; no stranger any more once it is ``admitted``."""
+    """A connection that has sent something; a stranger until it is ``admitted``."""
 
     def __init__(self, strangers: Strangers, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -61,7 +60,7 @@ class Connection(ServerConnection):
 def listening_socket() -> socket.socket:
     """The socket that clients connect to; raises ``OSError``.
 
-    Linux keeps those who say nothing to itself: a storm of them costs this process nothing.
+    Linux holds back connections that send nothing: a flood of them costs this process nothing.
     """
     listening = socket.create_server((HOST, 0), backlog=BACKLOG)
     if sys.platform == "linux":
@@ -70,16 +69,16 @@ def listening_socket() -> socket.socket:
 
 
 class SilentConnection(asyncio.Protocol):
-    """A connection that has sent nothing yet. With its first bytes it becomes what ``speaks`` makes.
+    """A connection that has sent nothing yet. With its first bytes it becomes what ``connection`` makes.
 
-    That costs several times as much, and a storm of strangers says nothing. Whose first bytes ``has_token``
-    is no stranger; whoever has not sent any makes room for the next, the oldest first.
+    That costs several times as much, and a flood of strangers sends nothing. If ``has_token`` accepts the
+    first bytes, it is no stranger; those that have not sent any are dropped for the next, the oldest first.
     """
 
     def __init__(
-        self, strangers: Strangers, has_token: Callable[[bytes], bool], speaks: Callable[[], Connection]
+        self, strangers: Strangers, has_token: Callable[[bytes], bool], connection: Callable[[], Connection]
     ) -> None:
-        self._strangers, self._has_token, self._speaks = strangers, has_token, speaks
+        self._strangers, self._has_token, self._connection = strangers, has_token, connection
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport = cast(asyncio.Transport, transport)
@@ -88,11 +87,11 @@ class SilentConnection(asyncio.Protocol):
         self._make_room()
 
     def _make_room(self) -> None:
-        """Drop the oldest stranger where there are too many, of those of whom nothing is there to be read."""
+        """If there are too many strangers, drop the oldest of those with nothing left to read."""
         if len(self._strangers) > STRANGERS_MAX:
-            heard = (each for each in self._strangers if not _is_readable(each))
+            silent = (each for each in self._strangers if not _is_readable(each))
             crowded = len(self._strangers) > 2 * STRANGERS_MAX
-            oldest = next(iter(self._strangers)) if crowded else next(heard, None)
+            oldest = next(iter(self._strangers)) if crowded else next(silent, None)
             if oldest is not None:
                 del self._strangers[oldest]
                 oldest.abort()
@@ -103,7 +102,7 @@ class SilentConnection(asyncio.Protocol):
             self._strangers.pop(self._transport, None)
         else:
             self._make_room()
-        connection = self._speaks()
+        connection = self._connection()
         connection.connection_made(self._transport)
         self._transport.set_protocol(connection)
         connection.data_received(data)
@@ -115,26 +114,26 @@ class SilentConnection(asyncio.Protocol):
 
 def _is_readable(transport: asyncio.Transport) -> bool:
     descriptor = transport.get_extra_info("socket").fileno()
-    if sys.platform == "win32":  # which has no poll, and whose select knows sockets of any number
+    if sys.platform == "win32":  # has no poll, and its select takes sockets of any number
         return bool(select.select([descriptor], [], [], 0)[0])
-    asked = select.poll()
-    asked.register(descriptor, select.POLLIN)
-    return bool(asked.poll(0))
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(0))
 
 
 class Admission:
-    """``token``: what a client must know. ``version``: of this backend, told to those who speak otherwise."""
+    """``token``: clients must send it. ``version``: of this backend, for clients with another protocol."""
 
     def __init__(self, token: str, version: str) -> None:
         self._authorization = f"Bearer {token}".encode()
         self._version = version
         self._strangers: Strangers = {}
-        self._refusals, self._next_refusals = 0, 0.0  # not told yet, and when they may be
+        self._refusals, self._next_refusals = 0, 0.0  # not logged yet, and when they may be
 
     def connection(self, *arguments: Any, **options: Any) -> asyncio.Protocol:
-        """What the library makes of a socket, of its arguments for a ``ServerConnection``."""
-        speaks = functools.partial(Connection, self._strangers, *arguments, **options)
-        return SilentConnection(self._strangers, self._has_token, speaks)
+        """The protocol of a new socket, from the library's arguments for a ``ServerConnection``."""
+        connection = functools.partial(Connection, self._strangers, *arguments, **options)
+        return SilentConnection(self._strangers, self._has_token, connection)
 
     def turn_away(self) -> None:
         """End the connections of strangers."""
@@ -142,20 +141,20 @@ class Admission:
             transport.abort()
 
     def _has_token(self, data: bytes) -> bool:
-        """Whether it is in one of the first lines of a request, in whichever header."""
+        """Whether the token is in one of the first lines of a request, in any header."""
         values = (line.partition(b":")[2].strip() for line in data.split(b"\r\n", LINES_MAX)[:LINES_MAX])
         return any(hmac.compare_digest(value, self._authorization) for value in values)
 
     def refusal(
         self, connection: ServerConnection, request: HttpRequest, clients: int
     ) -> HttpResponse | None:
-        """The refusal of a HTTP request for a WebSocket; None where it has the token and no browser sent it.
+        """The refusal of an HTTP request for a WebSocket; None if it has the token and no browser sent it.
 
         ``clients``: how many are connected already.
         """
-        given = request.headers.get_all("Authorization")
-        right = len(given) == 1 and hmac.compare_digest(
-            given[0].encode("utf-8", "replace"), self._authorization
+        sent = request.headers.get_all("Authorization")
+        right = len(sent) == 1 and hmac.compare_digest(
+            sent[0].encode("utf-8", "replace"), self._authorization
         )
         if request.path != "/":
             status, why = http.HTTPStatus.NOT_FOUND, "there is only /"
@@ -186,14 +185,14 @@ class Admission:
         except TimeoutError:
             raise RefusedError(POLICY, f"no hello within {HELLO_SECONDS:g} seconds") from None
         content = object_in(frame)
-        # The version is looked at before anything else: another one's hello may have other fields.
+        # The version comes first, because another one's hello may have other fields.
         body = content.get("body")
         if content.get("type") == "hello" and isinstance(body, dict):
             spoken = body.get("protocol")
             if type(spoken) is not int or spoken != PROTOCOL_VERSION:  # True is 1 to Python
                 failure = Failure(
                     code="wrong_protocol",
-                    message=f"this backend speaks version {PROTOCOL_VERSION} of the protocol, "
+                    message=f"this backend uses version {PROTOCOL_VERSION} of the protocol, "
                     f"not {json.dumps(spoken)[:20]}",
                     hint=f"It is PhysHDR {self._version}: use the same version on both sides.",
                 )

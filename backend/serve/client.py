@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One connected client, as the server's thread sees it: what it is to be sent, in slots that do not grow."""
+"""One connected client, on the server's thread: what to send it, in slots of bounded size."""
 
 import asyncio
 from collections import deque
@@ -10,22 +10,22 @@ from websockets.asyncio.server import ServerConnection
 
 from ...bridge.messages import Envelope, Failure, PreviewFrame, encode, encode_frame
 
-#: A client that does not read its replies is not listened to any more; its heartbeat then ends it.
+#: A client that does not read its replies is no longer read from; its heartbeat then ends it.
 REPLIES_MAX = 64
 #: Requests that may wait for the engine at once.
 OUTSTANDING_MAX = 16
-#: Wrong frames that are answered; the next one closes the connection.
+#: Invalid frames that are answered; the next one closes the connection.
 WRONG_FRAMES_MAX = 8
 
 
 class Client:
-    """``number``: who it is to the engine. ``name``: who it is to people. Only on the server's thread."""
+    """``number``: its id for the engine. ``name``: for people. Used on the server's thread only."""
 
     def __init__(
         self, socket: ServerConnection, number: int, name: str, on_frame_sent: Callable[[int], None]
     ) -> None:
         self.socket, self.number, self.name = socket, number, name
-        self.outstanding = 0  # requests that the engine has and has not answered
+        self.outstanding = 0  # requests that the engine has not answered yet
         self.wrong_frames = 0
         self._on_frame_sent = on_frame_sent
         self._replies: deque[str] = deque()
@@ -41,8 +41,8 @@ class Client:
         """Whether everything has been sent."""
         return not (self._sending or self._replies or self._status or self._frame)
 
-    def tell(self, status: Any) -> None:
-        """The newest ``JobStatus``; one that was not sent yet is forgotten."""
+    def send_status(self, status: Any) -> None:
+        """Send the newest ``JobStatus``; replaces one that was not sent yet."""
         self._status = encode(Envelope("event", 0, status))
         self._something.set()
 
@@ -53,7 +53,7 @@ class Client:
         self._put(encode(Envelope("error", number, failure)))
 
     def show(self, frame: PreviewFrame) -> None:
-        """A preview; the inbox sees to it that there is never a second one."""
+        """Send a preview; the inbox ensures that there is never a second one."""
         self._frame = frame
         self._something.set()
 
@@ -68,7 +68,7 @@ class Client:
         await self._room.wait()
 
     async def write(self) -> None:
-        """Send what there is until the connection ends: a status before the reply that it belongs to."""
+        """Send everything until the connection ends: a status before the reply that it belongs to."""
         try:
             while True:
                 await self._something.wait()
@@ -79,7 +79,7 @@ class Client:
                 self._sending = False
         finally:
             self._ended = True
-            self._room.set()  # nobody must wait for what will never be sent
+            self._room.set()  # release anyone waiting for what will never be sent
 
     async def _send_one(self) -> bool:
         if self._status is not None:
@@ -92,7 +92,7 @@ class Client:
             await self.socket.send(text)
         elif self._frame is not None:
             frame, self._frame = self._frame, None
-            self._on_frame_sent(self.number)  # the next may be rendered while this one travels
+            self._on_frame_sent(self.number)  # the next may be rendered while this one is sent
             await self.socket.send(encode_frame(frame))
         else:
             return False

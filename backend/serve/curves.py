@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The curves of a job, and how fast it goes at the moment."""
+"""The curves of a job, and its current speed."""
 
 import json
 import math
@@ -12,9 +12,9 @@ from ...bridge.errors import PhysHDRError
 from ...bridge.messages import History
 from ...bridge.regular import regular_file
 
-#: A plot has no more pixels.
+#: Plots have no more pixels than this.
 POINTS_MAX = 4000
-#: The rate is that of the last so many seconds.
+#: The rate is averaged over this many seconds.
 RATE_SECONDS = 5.0
 
 
@@ -52,7 +52,7 @@ class Curves:
             self._losses, self._psnr = Series(), Series()
 
     def add(self, iteration: int, losses: dict[str, float], monitor: dict[str, float]) -> None:
-        """Take what a progress event tells."""
+        """Add the values of a progress event."""
         with self._lock:
             loss = sum(losses.values(), 0.0)
             if math.isfinite(loss):
@@ -71,12 +71,12 @@ class Curves:
             with open(regular_file(log), encoding="utf-8", errors="replace") as lines:
                 for line in lines:
                     event = _progress(line)
-                    # What was done twice is taken from the first time: on the CPU it was the same to the bit.
+                    # Repeated iterations are taken from the first time: on the CPU they are bit-identical.
                     if event and last < event[0] <= until:
                         last = event[0]
                         self.add(*event)
         except (OSError, PhysHDRError):
-            pass  # no log, no curves: nothing else depends on it
+            pass  # no log, no curves
 
     def history(self) -> History:
         with self._lock:
@@ -90,15 +90,15 @@ class Curves:
 
 
 def _progress(line: str) -> tuple[int, dict[str, float], dict[str, float]] | None:
-    """Iteration, losses and monitor of a progress event; None for others and for what cannot be read."""
-    if '"progress"' not in line:  # a log of nothing but line ends would take 5 s a megabyte
+    """Iteration, losses and monitor of a progress event; None for others and for unreadable lines."""
+    if '"progress"' not in line:  # a log of empty lines would take 5 s per megabyte
         return None
     try:
         match json.loads(line):
             case {"event": "progress", "iteration": int(iteration), "losses": {**losses}, **rest}:
                 return iteration, _floats(losses), _floats(dict(rest.get("monitor", {})))
     except (ValueError, TypeError, OverflowError, RecursionError):
-        pass  # a damaged line is no reason not to open a run
+        pass  # a damaged line must not prevent opening a run
     return None
 
 
@@ -107,7 +107,7 @@ def _floats(named: dict[str, Any]) -> dict[str, float]:
 
 
 class Speed:
-    """Iterations per second over the last few seconds, pauses left out."""
+    """Iterations per second over the last few seconds, without pauses."""
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, int]] = deque()
@@ -116,7 +116,7 @@ class Speed:
         self._points.clear()
 
     def note(self, now: float, iteration: int) -> float:
-        """Take the time (seconds) and the iteration reached; returns the rate, 0 where not yet known."""
+        """Record the time (seconds) and the iteration reached; returns the rate, 0 if not yet known."""
         self._points.append((now, iteration))
         while len(self._points) > 2 and self._points[0][0] < now - RATE_SECONDS:
             self._points.popleft()

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine: does what is asked, one thing at a time, in the one thread that touches torch and the model.
+"""The engine: handles requests one at a time, in the only thread that uses torch and the model.
 
-While it trains, it looks into the inbox between iterations: that is where previews are rendered, where a
-pause is waited out and where a stop is noticed.
+While training, it checks the inbox between iterations, where it also renders previews, pauses and stops.
 """
 
 import logging
@@ -50,17 +49,17 @@ log = logging.getLogger(__name__)
 
 #: While training, previews may take this share of the time; a large viewport must not stop the training.
 PREVIEW_SHARE = 0.5
-#: How long the engine sleeps at most; whatever is asked wakes it before.
+#: How long the engine sleeps at most; any request wakes it.
 SLEEP_SECONDS = 1.0
 
 
 class CancelledError(PhysHDRError):
-    """Something was stopped before it had properly begun."""
+    """Something was stopped before it had started."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """``device``, ``threads`` (0: one a core): where requests leave it open. ``log``: a path, for people."""
+    """``device``, ``threads`` (0: one per core): defaults for requests. ``log``: a path, for people."""
 
     device: DeviceName = "auto"
     threads: int = 0
@@ -68,19 +67,19 @@ class Options:
 
 
 class Engine:
-    """``run`` returns when the process shall end, with the reason; everything is saved by then."""
+    """``run`` returns the reason when the process should end; by then everything is saved."""
 
     def __init__(self, inbox: Inbox, server: Server, curves: Curves, options: Options) -> None:
         self._inbox, self._server, self._curves, self._log = inbox, server, curves, options.log
         self._machine = Machine(options.device, options.threads)
         self._status = Status(server.publish)
-        self._job: Job | None = None  # to be begun when its request has been answered
-        self._run: Run | None = None  # what previews show
+        self._job: Job | None = None  # starts when its request has been answered
+        self._run: Run | None = None  # shown by previews
         self._training: Training | None = None
-        self._expected: Duration | None = None  # of the training that is begun
+        self._expected: Duration | None = None  # of the training that starts
         self._stopping = False
-        self._is_beginning = False  # of a training that is prepared
-        self._pause_first = False  # asked for before there was anything to halt
+        self._is_beginning = False  # while a training is prepared
+        self._pause_first = False  # pause requested before training started
         self._ending = ""
         self._next_preview = 0.0
 
@@ -88,7 +87,7 @@ class Engine:
         self._machine.use_threads(0)
         device, why = self._machine.default_device()
         log.info("ready: %s", why)
-        self._status.tell(JobStatus(device=device, message=f"ready, {why}"))
+        self._status.replace(JobStatus(device=device, message=f"ready, {why}"))
         while not self._ending:
             self.wait()
             if self._job:
@@ -96,15 +95,15 @@ class Engine:
                 self._do(job)
         return self._ending
 
-    # -- what is asked -----------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------------
 
     def _attend(self, item: Item | None) -> None:
-        """One command, if there is one, then one preview, if it is time for one."""
+        """Handle one command, if there is one, then render one preview, if one is due."""
         if isinstance(item, Ending):
             self._ending = item.reason
             self._note_stop()
         elif isinstance(item, Abandoned):
-            log.info("nobody is in control: the training stops, as was wished")
+            log.info("nobody is in control: the training stops, as requested")
             self._note_stop()
         elif item is not None:
             self._server.answer(item, self._obey(item))
@@ -112,18 +111,18 @@ class Engine:
             self._show_a_preview()
 
     def look(self) -> None:
-        """Do all that has been asked, and show a preview if it is time for one."""
+        """Handle all waiting requests, and show a preview if one is due."""
         while (item := self._inbox.take()) is not None:
             self._attend(item)
         self._attend(None)
 
     def wait(self) -> None:
-        """Do what is asked next; returns after a second if nothing is."""
+        """Handle the next request; returns after a second if there is none."""
         self._attend(self._inbox.wait(SLEEP_SECONDS))
 
     @property
     def stopping(self) -> bool:
-        """Whether what is under way shall end."""
+        """Whether the current work should end."""
         return self._stopping
 
     def _obey(self, command: Command) -> Reply | Failure:
@@ -147,7 +146,7 @@ class Engine:
                     self._pause(False)
                 case TrainStop():
                     if not self._status.is_running:
-                        raise NoJobError("no training runs that could be stopped")
+                        raise NoJobError("there is no training to stop")
                     self._note_stop()
                 case Shutdown():
                     self._ending = f"{command.name} shut the backend down"
@@ -182,7 +181,7 @@ class Engine:
     def _pause(self, paused: bool) -> None:
         if self._job or self._is_beginning:
             self._pause_first = paused
-            self._status.change(message="it halts when it begins" if paused else "it goes on when it begins")
+            self._status.change(message="pausing when it starts" if paused else "not pausing when it starts")
             return
         if self._status.now.state not in ("training", "paused"):
             what = "pause" if paused else "continue"
@@ -191,7 +190,7 @@ class Engine:
         self._training.pause(paused)
 
     def _note_stop(self) -> None:
-        """Whatever runs shall end, saved."""
+        """Save and end what is running."""
         if self._status.is_running:
             self._stopping = True
             self._status.change(state="stopping", message="saving")
@@ -199,17 +198,17 @@ class Engine:
     # -- jobs --------------------------------------------------------------------------------------------
 
     def _prepare(self, job: Job) -> None:
-        """What was open is closed, and the state is that of the new job."""
+        """Close what was open, and show the state of the new job."""
         self._close()
         self._stopping = self._pause_first = False
         self._curves.clear()
-        self._status.tell(
+        self._status.replace(
             JobStatus(state="preparing", run=str(job.folder), message="reading the data set", **job.known)
         )
         self._job = job
 
     def _do(self, job: Job) -> None:
-        """Run a job to its end, whatever that is."""
+        """Run a job until it finishes, stops or fails."""
         try:
             self._train(job)
         except CancelledError:
@@ -228,15 +227,15 @@ class Engine:
         self._machine.use_threads(job.threads)
         self._expected = None
         workshop = Workshop(
-            report=self._progress_of_preparing,
+            report=self._report_preparing,
             expect=self._expect,
             compile_kernels=self._compile,
             device=self._machine.device_for(job.device),
-            between=lambda: self._progress_of_preparing(self._status.now.message),
+            between=lambda: self._report_preparing(self._status.now.message),
         )
         self._is_beginning = True
         with job.begin(workshop) as (state, run):
-            self._progress_of_preparing("starting")
+            self._report_preparing("starting")
             self._is_beginning = False
             self._training = Training(state, run, self, self._status, self._curves, self._expected)
             self._run = run
@@ -246,10 +245,10 @@ class Engine:
         self._expected = duration
 
     def _compile(self, needs: Needs) -> None:
-        compile_kernels(needs, self._progress_of_preparing)
+        compile_kernels(needs, self._report_preparing)
 
-    def _progress_of_preparing(self, message: str) -> None:
-        """Tell what is done; raises ``CancelledError`` where it is wanted no more."""
+    def _report_preparing(self, message: str) -> None:
+        """Report progress; raises ``CancelledError`` if it was stopped."""
         if self._status.now.state == "preparing" and self._status.now.message != message:
             log.info(message)
             self._status.change(message=message)
@@ -265,7 +264,7 @@ class Engine:
         require_run(folder)
         before = self._status.now
         self._stopping = False
-        self._status.tell(
+        self._status.replace(
             JobStatus(
                 state="preparing",
                 run=str(folder),
@@ -282,21 +281,21 @@ class Engine:
                 folder,
                 data,
                 device=self._machine.device_for(request.device),
-                report=self._progress_of_preparing,
+                report=self._report_preparing,
                 pictures=False,
             )
             if run.method.device.type != "cuda":
                 self._compile(run.config.method.kernels_needed())
         except BaseException:
             self._stopping = False
-            self._status.tell(before)
+            self._status.replace(before)
             raise
         self._close()
         self._run = run
         self._curves.read(folder / LOG_FILE, run.iteration)
         curves = self._curves.history()
-        without = "" if run.scene.root.exists() else ", without its data set, which is not there"
-        self._status.tell(
+        without = "" if run.scene.root.exists() else ", without its data set, which is missing"
+        self._status.replace(
             JobStatus(
                 state="open",
                 run=str(folder),
@@ -333,7 +332,7 @@ class Engine:
 
     @property
     def _iteration(self) -> int:
-        """Of the model that is shown."""
+        """The iteration of the displayed model."""
         if self._training:
             return self._training.iteration
         return self._run.iteration if self._run else 0
@@ -342,7 +341,7 @@ class Engine:
         self._run = self._training = None
         free_memory()
 
-    # -- telling -----------------------------------------------------------------------------------------
+    # -- failures ----------------------------------------------------------------------------------------
 
     def _failure(self, error: Exception) -> Failure:
         failure = failure_of(error, self._log, self._status.now.run)

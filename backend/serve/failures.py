@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors as data: what goes wrong in the backend, as a ``Failure`` for the wire."""
+"""Errors as data: failures of the backend as ``Failure`` messages."""
 
 import errno
 import os
@@ -9,13 +9,11 @@ from ...bridge.messages import Failure
 from ..memory import is_out_of_memory
 
 OUT_OF_MEMORY = "out_of_memory"
-#: The system refuses a path, or what is to be written there.
+#: The system refuses a path, or writing to it.
 PATH = "path"
-FREE_SPACE = (
-    "Free some space, or choose a folder on another disk; a training goes on from its last checkpoint."
-)
-ANOTHER_DISK = "Check that the disk is there and in order, or choose a folder on another one."
-#: Errors of a disk: they come from reading and writing, too, where the system does not name the file.
+FREE_SPACE = "Free some space, or choose a folder on another disk; training resumes from its last checkpoint."
+ANOTHER_DISK = "Check that the disk is connected and works, or choose a folder on another one."
+#: Errors of a disk; when reading or writing, the system does not name the file.
 OF_THE_DISK = {
     errno.ENOSPC: FREE_SPACE,
     errno.EDQUOT: FREE_SPACE,
@@ -24,10 +22,10 @@ OF_THE_DISK = {
     errno.EIO: ANOTHER_DISK,
     errno.ESTALE: ANOTHER_DISK,
 }
-#: What to do about the errors of a path that are known to have one remedy.
+#: Remedies for errors of a path.
 OF_A_PATH = {
     errno.ENAMETOOLONG: "Choose a shorter path; most disks take names of up to 255 bytes.",
-    errno.ENOENT: "Check that it is still there, or choose another path.",
+    errno.ENOENT: "Check that it still exists, or choose another path.",
     errno.ENOTDIR: "A file is where a folder is needed: choose another path.",
     errno.EACCES: "Change its permissions, or choose another path.",
     errno.EPERM: "Change its permissions, or choose another path.",
@@ -37,7 +35,7 @@ OF_A_PATH = {
 
 
 class BusyError(PhysHDRError):
-    """Something else is being done that the request would disturb."""
+    """The request would disturb other work."""
 
 
 class PackageMissingError(PhysHDRError):
@@ -49,14 +47,14 @@ class NoModelError(PhysHDRError):
 
 
 class NoJobError(PhysHDRError):
-    """No training runs that could be paused, continued or stopped."""
+    """There is no training to pause, continue or stop."""
 
 
 def failure_of(error: BaseException, log: str = "", place: str = "") -> Failure:
-    """What to tell of an error.
+    """The message for an error.
 
-    ``log``: where its traceback can be read. ``place``: the folder that was worked in, told where a disk
-    refuses and the system does not say at which file.
+    ``log``: the file with its traceback. ``place``: the folder in use, named if a disk fails and the system
+    does not name the file.
     """
     if isinstance(error, PhysHDRError):
         return Failure(code=error.code, message=error.message, hint=error.hint)
@@ -64,8 +62,8 @@ def failure_of(error: BaseException, log: str = "", place: str = "") -> Failure:
         return Failure(
             code=OUT_OF_MEMORY,
             message="there is not enough memory",
-            hint="Close other programs, or train on smaller pictures or with fewer Gaussians. A training "
-            "was saved where its state was whole: resume it when there is room.",
+            hint="Close other programs, or train on smaller pictures or with fewer Gaussians. Training "
+            "was saved if its state was complete: resume it when there is enough memory.",
         )
     if isinstance(error, OSError) and (refused := _refused_path(error, place)):
         return refused
@@ -73,23 +71,23 @@ def failure_of(error: BaseException, log: str = "", place: str = "") -> Failure:
     return Failure(
         code="internal",
         message=f"the backend failed unexpectedly: {type(error).__name__}: {first}",
-        hint=f"This is a fault of PhysHDR: please report it with the log {log}." if log else "See its log.",
+        hint=f"This is a bug in PhysHDR: please report it with the log {log}." if log else "See its log.",
     )
 
 
 def _refused_path(error: OSError, place: str) -> Failure | None:
-    """The failure where the system refuses a path, or a disk what is to be written; else ``None``."""
-    # Of a renaming that fails, the second name is the one that somebody chose.
+    """The failure if the system refuses a path or a disk refuses data; else ``None``."""
+    # When renaming fails, the second name is the one that a user chose.
     named = error.filename2 or error.filename
     if isinstance(named, bytes | str) and named:
         path = os.fsdecode(named)
     elif error.errno in OF_THE_DISK:
         path = f"a file in {place}" if place else "a file"
     else:
-        return None  # of a connection or a process: no path is at fault
+        return None  # of a connection or a process, not a path
     remedy = (OF_THE_DISK | OF_A_PATH).get(
         error.errno or 0, "Check that path and its permissions, or choose another one."
     )
-    # Halves of characters stand for bytes that are no UTF-8; nothing could show them.
+    # Surrogates stand for bytes that are not UTF-8 and cannot be displayed.
     words = f"the system refuses {path}: {error.strerror or error}".encode("utf-8", "replace").decode("utf-8")
     return Failure(code=PATH, message=words, hint=remedy)

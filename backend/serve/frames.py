@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Frames that no contract covers: those of strangers, wrong ones, and how a connection is ended."""
+"""Frames outside the protocol (invalid ones and those of strangers), and how a connection is ended."""
 
 import asyncio
 import dataclasses
@@ -15,10 +15,10 @@ from ...bridge.regular import unique_names
 
 log = logging.getLogger(__name__)
 
-#: How long a close may take: both sides say good-bye, or the connection is dropped.
+#: Time for both sides to close, after which the connection is dropped.
 CLOSE_SECONDS = 1.0
-#: A peer that has taken nothing of what waits for it for so long is dropped: the library's heartbeat cannot
-#: tell, since its own pings wait behind the rest.
+#: A peer that has read none of the data waiting for it for this long is dropped: the library's heartbeat
+#: cannot detect it, because its own pings wait behind the rest.
 STALLED_SECONDS = 4.0
 #: Close codes of RFC 6455, section 7.4.1.
 GOING_AWAY, PROTOCOL, UNSUPPORTED, INVALID_DATA, POLICY, INTERNAL = 1001, 1002, 1003, 1007, 1008, 1011
@@ -33,7 +33,7 @@ class RefusedError(Exception):
 
 
 async def drop_if_stalled(socket: ServerConnection) -> None:
-    """Cut the connection when the peer does not take what is sent."""
+    """Drop the connection when the peer does not read what is sent."""
     waiting, since = 0, time.monotonic()
     while True:
         await asyncio.sleep(0.25)
@@ -42,14 +42,14 @@ async def drop_if_stalled(socket: ServerConnection) -> None:
         if waiting == 0 or waiting < before:
             since = now
         elif now - since > STALLED_SECONDS:
-            log.warning("dropped a connection that took nothing for %g seconds", STALLED_SECONDS)
+            log.warning("dropped a connection that read nothing for %g seconds", STALLED_SECONDS)
             socket.transport.abort()
             return
 
 
 async def close(socket: ServerConnection, code: int, reason: str) -> None:
-    """Say why, and close; a peer that does not read is not waited for."""
-    # As much as a close frame carries.
+    """Close with a reason; does not wait for a peer that does not read."""
+    # The maximum of a close frame.
     cut = reason.encode("utf-8", "replace")[:123].decode("utf-8", "ignore")
     try:
         async with asyncio.timeout(2 * CLOSE_SECONDS):
@@ -59,14 +59,14 @@ async def close(socket: ServerConnection, code: int, reason: str) -> None:
 
 
 def text_of(frame: str | bytes) -> str:
-    """A frame's text; raises ``RefusedError`` for one of bytes."""
+    """A frame's text; raises ``RefusedError`` for a binary frame."""
     if isinstance(frame, bytes):
         raise RefusedError(UNSUPPORTED, "clients send text frames only")
     return frame
 
 
 def object_in(frame: str | bytes) -> dict[str, Any]:
-    """The JSON object in a frame, whatever it says; raises ``RefusedError``."""
+    """The JSON object in a frame, whatever its content; raises ``RefusedError``."""
     try:
         content = json.loads(text_of(frame), object_pairs_hook=unique_names)
     except (ValueError, RecursionError):
@@ -77,7 +77,7 @@ def object_in(frame: str | bytes) -> dict[str, Any]:
 
 
 def error_text(request: dict[str, Any], failure: Failure) -> str:
-    """The error that answers a request which could not be decoded, in the words of every version."""
+    """The error reply to a request that could not be decoded, in a form that every version reads."""
     number = request.get("id")
     number = number if type(number) is int and number >= 0 else 0
     return json.dumps({"kind": "error", "id": number, **dataclasses.asdict(failure)})

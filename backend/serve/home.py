@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A backend's home folder: one backend a folder, found by its connection file."""
+"""A backend's home folder: one backend per folder, found by its connection file."""
 
 import os
 import stat
@@ -21,27 +21,27 @@ from ...bridge.connection import (
 from ...bridge.errors import OutputError, PhysHDRError
 from .failures import BusyError
 
-#: Seconds to wait for the lock: whoever looks whether a backend lives has it for a moment.
+#: Seconds to wait for the lock, which is held briefly by others to check whether a backend is alive.
 LOOK_SECONDS = 0.5
 
 
 @contextmanager
 def own_home(folder: Path) -> Iterator[None]:
-    """While active, no other backend serves ``folder``, which is made its owner's alone.
+    """While active, no other backend serves ``folder``, which is made accessible to its owner only.
 
-    The operating system takes the lock back when the process ends, however it ends: a connection file that
-    was left behind is stale exactly if the lock can be had. Raises ``BusyError`` and ``OutputError``.
+    The operating system releases the lock when the process ends, however it ends: a leftover connection file
+    is stale exactly if the lock can be acquired. Raises ``BusyError`` and ``OutputError``.
     """
     private_home(folder)
     path = folder / LOCK_FILE
     try:
         _tighten(path)
-        # Nothing in a lock's stead where the disk knows none: that would outlive a process that is killed.
+        # No soft lock where the disk does not support locks: it would outlive a killed process.
         held = FileLock(path, mode=0o600, fallback_to_soft=False).acquire(LOOK_SECONDS)
     except Timeout:
         raise BusyError(
             f"a backend already serves {folder}{_who(folder)}",
-            "Connect to it (its connection file is there), end it, or choose another --home.",
+            "Connect to it by its connection file, end it, or choose another --home.",
         ) from None
     except (OSError, NotImplementedError) as error:
         raise OutputError(
@@ -68,11 +68,11 @@ def _who(folder: Path) -> str:
     try:
         return f" (process {read_connection(folder).pid})"
     except PhysHDRError:
-        return ""  # it is only just starting
+        return ""  # it is still starting
 
 
 def _tighten(path: Path) -> None:
-    """A lock that is there already, of a version that left it open to all, for its owner alone."""
+    """Restrict an existing lock file to its owner."""
     with suppress(FileNotFoundError):
         if stat.S_ISREG(os.lstat(path).st_mode):
             path.chmod(0o600)

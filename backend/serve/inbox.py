@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What clients ask of the engine: commands in order, and of each client the newest preview alone."""
+"""Clients' requests to the engine: commands in order, and only the newest preview of each client."""
 
 import queue
 import threading
@@ -20,14 +20,14 @@ class Command:
 
 @dataclass(frozen=True)
 class Ending:
-    """Save and end the process. ``reason`` is told to every client."""
+    """Save and end the process. ``reason`` is sent to every client."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class Abandoned:
-    """Whoever steered has gone, and had said that a training must then be saved and stopped."""
+    """The client in control has left, and wanted the training to be saved and stopped then."""
 
 
 @dataclass(frozen=True)
@@ -45,23 +45,23 @@ Item = Command | Ending | Abandoned
 class Inbox:
     """Filled by the server's thread and by signal handlers, emptied by the engine.
 
-    A preview of a client is given out only when that client's last one is on its way: a client that does not
-    read costs one picture of memory and no rendering.
+    A client's preview is handed out only when its last one is being sent: a client that does not read costs
+    the memory of one image and no rendering.
     """
 
     def __init__(self) -> None:
         self._items: queue.SimpleQueue[Item | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._previews: dict[int, WantedPreview] = {}  # the client that has waited longest is first
-        self._served: set[int] = set()  # clients whose last picture has not gone out
+        self._served: set[int] = set()  # clients whose last image has not been sent
         self._woken = False
 
     def put(self, item: Item) -> None:
-        """From any thread, and from a signal handler (a ``SimpleQueue`` takes no lock that could be held)."""
+        """Usable from any thread and from signal handlers (a ``SimpleQueue`` takes no lock)."""
         self._items.put(item)
 
     def offer(self, wanted: WantedPreview) -> WantedPreview | None:
-        """Ask for a preview; returns the request of the same client that it replaces."""
+        """Request a preview; returns the request of the same client that it replaces."""
         with self._lock:
             replaced = self._previews.get(wanted.client)
             self._previews[wanted.client] = wanted
@@ -69,7 +69,7 @@ class Inbox:
         return replaced
 
     def take_preview(self) -> WantedPreview | None:
-        """The next preview to render; its client gets no other one before ``sent``."""
+        """The next preview to render; its client gets no other before ``sent``."""
         with self._lock:
             for client, wanted in self._previews.items():
                 if client not in self._served:
@@ -81,7 +81,7 @@ class Inbox:
         return None
 
     def sent(self, client: int) -> None:
-        """The client's picture (or an error in its place) is on its way."""
+        """The client's image (or an error instead) is being sent."""
         with self._lock:
             self._served.discard(client)
             if client in self._previews:
@@ -94,7 +94,7 @@ class Inbox:
             self._served.discard(client)
 
     def take(self) -> Item | None:
-        """The next command, if one waits."""
+        """The next command, if there is one."""
         try:
             while True:
                 item = self._items.get_nowait()

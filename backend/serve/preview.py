@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A preview: a request's camera made sound, the method's picture of it, packed for the way."""
+"""A preview: checks a request's camera, renders its image and packs it for sending."""
 
 import math
 import time
@@ -24,7 +24,7 @@ from ..scene.camera import Camera
 
 #: The largest finite half.
 HALF_MAX = 65504.0
-#: How far the axes of a pose may be from unit length; more is no rounding but a scale.
+#: How far a pose's axes may be from unit length by rounding; more is a scale.
 AXIS_TOLERANCE = 0.01
 
 
@@ -51,7 +51,7 @@ def camera_of(asked: PreviewCamera) -> Camera:
 
 
 def levels_of(request: PreviewRequest, lights: tuple[str, ...]) -> tuple[float, ...]:
-    """A level for each of ``lights``, 1 for those that the request leaves out; raises ``BadValueError``."""
+    """A level for each of ``lights``, 1 for those missing from the request; raises ``BadValueError``."""
     asked = request.lighting_levels
     return as_levels((*asked, *(1.0 for _ in lights[len(asked) :])), lights)
 
@@ -64,7 +64,7 @@ def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
 
 @torch.no_grad()
 def render(method: Method, request: PreviewRequest, iteration: int, scale: float = 1.0) -> PreviewFrame:
-    """The frame that answers ``request``; ``PreviewRequest`` says what is in it. Radiance is times ``scale``.
+    """Render the frame of ``request``, as described by ``PreviewRequest``, its radiance times ``scale``.
 
     Raises ``BadValueError`` for what cannot be rendered.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a request asks for, checked before anything is done about it."""
+"""Checks requests before they are carried out."""
 
 import os
 from collections.abc import Callable
@@ -23,13 +23,13 @@ from ..train.presets import preset_named
 from ..train.settings import with_settings
 from ..train.state import State
 
-#: A run that is begun, held for as long as it is trained.
+#: A started run, held while it trains.
 Begun = AbstractContextManager[tuple[State, Run]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A training to be begun in ``folder``; ``known``: what its status says before anything is read."""
+    """A training to start in ``folder``; ``known``: its status before anything is read."""
 
     folder: Path
     begin: Callable[[Workshop], Begun]
@@ -39,7 +39,7 @@ class Job:
 
 
 def new_training(request: TrainStart) -> Job:
-    """The job that the request asks for; raises ``PhysHDRError`` where it cannot be begun."""
+    """The requested job; raises ``PhysHDRError`` if it cannot start."""
     data, out = folder_of(request.data, "data"), folder_of(request.out, "out")
     config = preset_named(request.preset)
     changes: dict[str, Any] = {"exposure_mode": request.exposure_mode, "seed": request.seed}
@@ -74,7 +74,7 @@ def new_training(request: TrainStart) -> Job:
 
 
 def resumed_training(request: TrainResume) -> Job:
-    """As ``new_training``, of a run that is there."""
+    """As ``new_training``, for an existing run."""
     folder, data = run_and_data(request)
     whole("threads", request.threads, 0, THREADS_MAX)
     require_run(folder)
@@ -86,12 +86,12 @@ def resumed_training(request: TrainResume) -> Job:
 
 
 def run_and_data(request: TrainResume | RunOpen) -> tuple[Path, Path | None]:
-    """The run's folder, and the place of its data set where that has moved."""
+    """The run's folder, and its data set's if that has moved."""
     return folder_of(request.run, "run"), folder_of(request.data, "data") if request.data else None
 
 
 def model_path(request: ModelExport) -> Path:
-    """Where the model is to be written; raises ``BadValueError`` for what is no name of a model file."""
+    """Where to write the model; raises ``BadValueError`` if that is not the name of a model file."""
     path = folder_of(request.path, "path")
     if path.suffix != SUFFIX:
         raise BadValueError(
@@ -101,10 +101,9 @@ def model_path(request: ModelExport) -> Path:
 
 
 def folder_of(text: str, name: str) -> Path:
-    """An absolute path: the backend's working directory is nobody's business.
+    """An absolute path, because clients do not know the backend's working directory. It need not exist.
 
-    Raises ``BadValueError``, and ``OSError`` where the system will not have the path, be it too long. That
-    there is nothing at it is for those to tell who need something there.
+    Raises ``BadValueError``, and ``OSError`` where the system refuses the path, for example as too long.
     """
     try:
         usable = "\0" not in text and bool(os.fsencode(text))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The server: an asyncio loop in a thread of its own that lets clients in and carries messages to and fro.
+"""The server: an asyncio loop in its own thread that admits clients and passes messages.
 
-It never waits for the engine, and the engine never waits for it: what the engine tells goes into each
-client's slots (``client``), what clients ask goes into the ``inbox``.
+It never waits for the engine, nor the engine for it: the engine's messages go into each client's slots
+(``client``), clients' requests into the ``inbox``.
 """
 
 import asyncio
@@ -62,7 +62,7 @@ from .frames import (
 from .inbox import Command, Ending, Inbox, WantedPreview
 
 log = logging.getLogger(__name__)
-#: The library's own words (a stranger's half-open connection is a traceback there) stay out of our log.
+#: The library's messages (such as a traceback for a stranger's half-open connection) stay out of our log.
 _library_log = logging.getLogger("websockets.physhdr")
 _library_log.setLevel(logging.CRITICAL)
 
@@ -72,7 +72,7 @@ NAME_LENGTH_MAX = 80
 class Server:
     """Serves until ``close``. The methods below ``start`` may be called from any thread.
 
-    ``welcome``: what every client is told first. ``history``: the present job's curves.
+    ``welcome``: the first message to every client. ``history``: the present job's curves.
     ``idle_timeout``: seconds without client and work after which the process ends; 0: never.
     """
 
@@ -91,46 +91,46 @@ class Server:
         self._status = JobStatus(state="preparing", message="starting: loading torch")
         self._clients: dict[int, Client] = {}  # the longest connected first
         self._numbers = itertools.count(1)
-        self._closing = (GOING_AWAY, "")  # with what connections end
+        self._closing = (GOING_AWAY, "")  # close code and reason of connections
         self._port: Future[int] = Future()
         self._thread = threading.Thread(target=self._run, name="physhdr server", daemon=True)
 
     def start(self) -> int:
-        """Listen; returns the port. Raises ``OutputError`` where that is not possible."""
+        """Listen; returns the port. Raises ``OutputError`` if that is not possible."""
         self._thread.start()
         try:
             return self._port.result()
         except OSError as error:
             raise OutputError(
                 f"cannot listen on {HOST}: {error.strerror or error}",
-                "Is the loopback interface up, and does a firewall forbid it?",
+                "Check that the loopback interface is up and not blocked by a firewall.",
             ) from error
 
-    # -- what the engine tells ---------------------------------------------------------------------------
+    # -- messages of the engine --------------------------------------------------------------------------
 
     def publish(self, status: JobStatus) -> None:
-        """Tell every client the newest status."""
+        """Send the newest status to every client."""
         self._post(self._publish, status)
 
     def answer(self, command: Command, message: Reply | Failure) -> None:
-        """The reply to a request that was taken from the inbox."""
+        """Send the reply to a request from the inbox."""
         self._post(self._answer, command, message)
 
     def show(self, wanted: WantedPreview, frame: PreviewFrame | Failure) -> None:
-        """The preview that was taken from the inbox, or why there is none."""
+        """Send the preview for a request from the inbox, or why there is none."""
         self._post(self._show, wanted, frame)
 
     def close(self, reason: str, *, failed: bool = False) -> None:
-        """Send what is left, tell every client why, and end the thread.
+        """Send what is left, tell every client the reason, and end the thread.
 
-        ``failed``: it is no good-bye, and nobody may take what was learned for saved.
+        ``failed``: the backend failed, so clients must not assume that the training was saved.
         """
         self._closing = INTERNAL if failed else GOING_AWAY, reason or "the backend ends"
         self._post(self._ended.set)
         self._thread.join(timeout=4 * CLOSE_SECONDS + 1.0)
 
     def _post(self, function: Callable[..., None], *arguments: Any) -> None:
-        with suppress(RuntimeError):  # the loop has ended, and nobody is there to be told
+        with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(function, *arguments)
 
     # -- on the server's thread --------------------------------------------------------------------------
@@ -153,7 +153,7 @@ class Server:
             process_request=lambda connection, request: self._admission.refusal(
                 connection, request, len(self._clients)
             ),
-            compression=None,  # half-float pictures hardly shrink, and it would take longer than the way
+            compression=None,  # half-float images hardly shrink, and compressing takes longer than sending
             max_size=TEXT_BYTES_MAX,
             open_timeout=HELLO_SECONDS,
             ping_interval=HEARTBEAT_SECONDS,
@@ -168,9 +168,9 @@ class Server:
         self._port.set_result(next(iter(server.sockets)).getsockname()[1])
         await self._ended.wait()
         watch.cancel()
-        await self._say_good_bye(server)
+        await self._close_all(server)
 
-    async def _say_good_bye(self, server: WebSocketServer) -> None:
+    async def _close_all(self, server: WebSocketServer) -> None:
         with suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_SECONDS):
                 while not all(client.idle for client in self._clients.values()):
@@ -228,7 +228,7 @@ class Server:
         try:
             await client.write()
         except ConnectionClosed:
-            pass  # the reading side says so
+            pass  # the reading side logs it
         except Exception:
             log.exception("writing to %s failed", client.name)
             await close(client.socket, INTERNAL, "the backend failed; see its log")
@@ -252,19 +252,19 @@ class Server:
         self._clients.pop(client.number, None)
         self._inbox.forget(client.number)
         if self._control.controller == client.number:
-            self._control.pass_on(self._clients)  # to whoever has been here longest
+            self._control.pass_on(self._clients)  # to the longest connected
             self._tell_all()
 
     # -- frames ------------------------------------------------------------------------------------------
 
     def _take(self, client: Client, frame: str | bytes) -> None:
-        """One frame of a client; raises ``RefusedError`` where the connection must end."""
+        """Handle one frame of a client; raises ``RefusedError`` if the connection must end."""
         try:
             envelope = decode(text_of(frame))
             if envelope.kind != "request":
                 raise ProtocolError(f"clients send requests, not frames of kind {envelope.kind!r}")
             if isinstance(envelope.message, Hello):
-                raise ProtocolError("hello was said already")
+                raise ProtocolError("hello was sent already")
         except ProtocolError as error:
             content = object_in(frame)
             client.wrong_frames += 1
@@ -272,7 +272,7 @@ class Server:
             if type(number) is not int or number < 0:
                 raise RefusedError(POLICY, f"a frame without a usable id: {error.message}") from error
             if client.wrong_frames > WRONG_FRAMES_MAX:
-                raise RefusedError(POLICY, f"too many wrong frames, the last: {error.message}") from error
+                raise RefusedError(POLICY, f"too many invalid frames, the last: {error.message}") from error
             client.fail(number, failure_of(error))
             return
         self._obey(client, envelope.id, envelope.message)
@@ -284,7 +284,7 @@ class Server:
                 number,
                 Failure(
                     code="not_in_control",
-                    message=f"{name} steers this backend; {type_name(type(message))} is for the one who does",
+                    message=f"{name} controls this backend: others may not send {type_name(type(message))}",
                     hint=f"{name} is in control: watch, or take control.",
                 ),
             )
@@ -328,10 +328,10 @@ class Server:
             return
         replaced = self._inbox.offer(WantedPreview(client.number, number, request))
         if replaced:
-            failure = Failure(code="superseded", message="a newer preview was asked for")
+            failure = Failure(code="superseded", message="a newer preview was requested")
             client.fail(replaced.id, failure)
 
-    # -- telling -----------------------------------------------------------------------------------------
+    # -- sending -----------------------------------------------------------------------------------------
 
     @property
     def _controller_name(self) -> str:
@@ -351,7 +351,7 @@ class Server:
 
     def _tell_all(self) -> None:
         for client in self._clients.values():
-            client.tell(self._personal(client))
+            client.send_status(self._personal(client))
 
     def _answer(self, command: Command, message: Reply | Failure) -> None:
         client = self._clients.get(command.client)

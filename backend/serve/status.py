@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What clients are told of the engine's state: the newest status, and how its words are made."""
+"""The engine's state for clients: the newest status, and how its texts are made."""
 
 import dataclasses
 import math
@@ -10,12 +10,12 @@ import torch
 
 from ...bridge.messages import JobStatus
 
-#: States in which a training is under way or about to be.
+#: States in which a training runs or is about to.
 RUNNING = ("preparing", "training", "paused", "stopping")
 
 
 class Status:
-    """The newest ``JobStatus``, ``now``; ``publish`` is called with each that is told."""
+    """The newest ``JobStatus``, ``now``; ``publish`` is called with each that is sent."""
 
     def __init__(self, publish: Callable[[JobStatus], None]) -> None:
         self._publish = publish
@@ -23,22 +23,22 @@ class Status:
 
     @property
     def is_running(self) -> bool:
-        """Whether a training is under way, or about to be."""
+        """Whether a training runs or is about to."""
         return self.now.state in RUNNING
 
-    def tell(self, status: JobStatus) -> None:
-        """Another status; where it names no device it is that of the one before."""
+    def replace(self, status: JobStatus) -> None:
+        """Publish a new status; without a device, it keeps that of the last one."""
         if not status.device:
             status = dataclasses.replace(status, device=self.now.device)
         self.now = status
         self._publish(status)
 
     def change(self, **changes: Any) -> None:
-        """The same status but for ``changes``, told at once."""
-        self.tell(dataclasses.replace(self.now, **changes))
+        """Publish the same status with ``changes`` at once."""
+        self.replace(dataclasses.replace(self.now, **changes))
 
     def note(self, **changes: Any) -> None:
-        """As ``change``, told with the next status: nothing is sent more often than that."""
+        """As ``change``, but published with the next status, to limit how often it is sent."""
         self.now = dataclasses.replace(self.now, **changes)
 
 
@@ -48,5 +48,5 @@ def device_words(device: torch.device) -> str:
 
 
 def finite(values: dict[str, float]) -> dict[str, float]:
-    """Without infinities (the PSNR of equal pictures) and NaN: JSON has no words for them."""
+    """Without infinities (the PSNR of equal pictures) and NaN, which JSON cannot express."""
     return {name: value for name, value in values.items() if math.isfinite(value)}

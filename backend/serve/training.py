@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A training under way: what is told of it, and what is attended to between two of its iterations."""
+"""A running training: its status, and requests handled between its iterations."""
 
 import time
 from contextlib import closing
@@ -16,9 +16,9 @@ from ..train.trainer import run as train
 from .curves import Curves, Speed
 from .status import Status, device_words, finite
 
-#: Seconds between two statuses while a training runs; changes of state are told at once.
+#: Seconds between two statuses while a training runs; changes of state are sent at once.
 STATUS_SECONDS = 0.25
-#: Iterations between two looks at how bright radiance is on a display.
+#: Iterations between two measurements of how bright radiance is on a display.
 SCALE_ITERATIONS = 50
 
 
@@ -27,22 +27,22 @@ class Desk(Protocol):
 
     @property
     def stopping(self) -> bool:
-        """Whether the training shall end."""
+        """Whether the training should end."""
         ...
 
     def look(self) -> None:
-        """Do all that has been asked."""
+        """Handle all waiting requests."""
         ...
 
     def wait(self) -> None:
-        """Do what is asked next; returns after a while if nothing is."""
+        """Handle the next request; returns after a while if there is none."""
         ...
 
 
 class Training:
-    """``run_to_the_end`` trains; the other methods are called from within it, by way of ``desk``.
+    """``run_to_the_end`` trains; the other methods are called from within it, through ``desk``.
 
-    ``expected``: how long it will take, where that is known.
+    ``expected``: how long it will take, if known.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Training:
         self._speed, self._tidying = Speed(), Tidying(state)
         self._paused = False
         self._found = ""  # of the cameras, known at the end
-        self._scale, self._scale_from = 1.0, -SCALE_ITERATIONS  # and the iteration that it is from
+        self._scale, self._scale_from = 1.0, -SCALE_ITERATIONS  # and its iteration
         self._next_status = 0.0
 
     @property
@@ -74,13 +74,13 @@ class Training:
 
     @property
     def radiance_scale(self) -> float:
-        """``Run.radiance_scale`` as of some iterations ago: it moves slowly, and costs a picture."""
+        """``Run.radiance_scale`` of some iterations ago: it changes slowly, and costs rendering an image."""
         if self.iteration >= self._scale_from + SCALE_ITERATIONS:
             self._scale, self._scale_from = self.run.radiance_scale, self.iteration
         return self._scale
 
     def pause(self, paused: bool) -> None:
-        """Wait after this iteration, or go on."""
+        """Pause after this iteration, or continue."""
         self._paused = paused
         self._speed.clear()
         self._status.change(
@@ -91,9 +91,9 @@ class Training:
         )
 
     def run_to_the_end(self, paused: bool = False) -> Run:
-        """Train until the last iteration, or until the desk wants a stop; returns the run as it is then.
+        """Train until the last iteration or a stop; returns the run as it is then.
 
-        ``paused``: it halts after its first iteration.
+        ``paused``: pause after the first iteration.
         """
         state, run = self._state, self._run
         self._curves.read(run.folder / LOG_FILE, run.iteration)
@@ -118,17 +118,17 @@ class Training:
         )
         if paused:
             self.pause(True)
-        told = train(
+        emitted = train(
             state,
             run.folder,
             should_stop=lambda: self._desk.stopping,
             monitor=view_monitor(run.scene),
             between=self._between_iterations,
         )
-        # Closed while it can still be told what fails: it saves on its way out.
-        with EventLog(run.folder) as kept, closing(told):
-            for event in told:
-                kept.show(event)
+        # Closing saves, and must be able to log failures.
+        with EventLog(run.folder) as event_log, closing(emitted):
+            for event in emitted:
+                event_log.show(event)
                 self._note(event)
         stopped = state.iteration < run.config.iterations
         ended = f"{'stopped' if stopped else 'finished'} at iteration {state.iteration}"
@@ -143,7 +143,7 @@ class Training:
         return self.run
 
     def _between_iterations(self) -> float:
-        """Look what is asked; returns the seconds of a pause."""
+        """Handle requests; returns the seconds of a pause."""
         self._tidying()
         self._desk.look()
         held = 0.0
@@ -169,7 +169,7 @@ class Training:
         }
 
     def _left(self, iteration: int, rate: float) -> float:
-        """Seconds; until there is a rate, as was told before."""
+        """Seconds; the last value until there is a rate."""
         if not rate:
             return self._status.now.seconds_left
         if self._expected is not None:

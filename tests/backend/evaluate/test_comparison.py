@@ -215,7 +215,7 @@ def test_csv_holds_full_precision() -> None:
         ([], {}, "nothing to compare"),
         ([entry("a"), entry("a")], {}, "two runs of a on room, exp3, seed 0"),
         ([entry("a")], {"metrics": ("LDR-OE.mse",)}, "no column 'LDR-OE.mse'"),
-        ([entry("a"), entry("a", setting="exp1")], {"group": ("scene",)}, "exp1, exp3 would mean nothing"),
+        ([entry("a"), entry("a", setting="exp1")], {"group": ("scene",)}, "exp1, exp3 is meaningless"),
     ],
 )
 def test_what_cannot_be_compared(entries, options, message) -> None:

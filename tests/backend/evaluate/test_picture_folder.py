@@ -337,7 +337,7 @@ DAMAGES = {
     "radiance for a picture": (
         lambda at: exr(at / "test/r_1_0.png"),
         FileDamagedError,
-        r"test/r_1_0.png holds radiance, where codes",
+        r"test/r_1_0.png holds radiance instead of codes",
     ),
     "a folder for a picture": (
         lambda at: [(at / "test/r_1_0.png").unlink(), (at / "test/r_1_0.png").mkdir()],
@@ -366,7 +366,7 @@ def test_some_views_of_a_mixture_are_none(small, data_set, tmp_path) -> None:
 
 
 def test_a_data_sets_own_pictures_are_never_replaced(small, scene) -> None:
-    with pytest.raises(BadValueError, match="is the data set: its own pictures would be replaced"):
+    with pytest.raises(BadValueError, match="is the data set, whose pictures would be replaced"):
         write_pictures(Model(small), scene, scene.root / ".." / scene.root.name)
 
 
@@ -401,13 +401,13 @@ def test_what_would_stay_among_a_models_pictures_is_refused(small, scene, photos
     write_pictures(lit, scene, folder)
     write_pictures(lit, scene, folder)  # all of it replaced
     written = {path: path.read_bytes() for path in folder.rglob("*_*.*") if path.is_file()}
-    with pytest.raises(BadValueError, match=r"relit.*would stay.*\n.*another folder"):
+    with pytest.raises(BadValueError, match=r"relit.*taken for this model.*\n.*another folder"):
         write_pictures(Unlit(small), scene, folder)
     assert written == {path: path.read_bytes() for path in folder.rglob("*_*.*") if path.is_file()}
 
     theirs = tmp_path / "jpegs" / "images" / "v_2.jpg"
     theirs.parent.mkdir(parents=True)
     theirs.write_bytes(b"theirs")
-    with pytest.raises(BadValueError, match=r"v_2\.jpg is there"):
+    with pytest.raises(BadValueError, match=r"v_2\.jpg exists"):
         write_pictures(lit, read_scene(photos), tmp_path / "jpegs")
     assert [*(tmp_path / "jpegs").rglob("*.*")] == [theirs]

@@ -9,7 +9,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio
 
-from physhdr.backend.evaluate.pictures import in_words, pairs
+from physhdr.backend.evaluate.pictures import notes_on, pairs
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.sheets import comparison_sheet
@@ -116,5 +116,5 @@ def test_a_report_says_in_which_domain_its_numbers_are(tmp_path):
     told = " ".join(evaluation.messages)
     assert "2 of 3 pictures are compared in their own domain: radiance" in told and "masked" in told
     assert not evaluation.eight_bit
-    assert in_words([view_of(tmp_path, (CAMERA, camera_codes(1.0, 8), None))]) == []
+    assert notes_on([view_of(tmp_path, (CAMERA, camera_codes(1.0, 8), None))]) == []
     assert comparison_sheet(Model(), scene, [0], (0, 1)).dtype == np.uint8

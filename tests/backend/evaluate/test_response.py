@@ -117,7 +117,7 @@ def test_where_the_true_response_comes_from(small: ModuleType, data_set: Path) -
     shutil.rmtree(data_set / "test_hdr")
     assert true_response(read_scene(data_set), learned) is None
     check = check_response(learned, None)
-    assert check.scale is None and check.is_monotonic and "not known" in str(check)
+    assert check.scale is None and check.is_monotonic and "unknown" in str(check)
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def test_what_no_webp_can_hold_is_refused(tmp_path: Path, monkeypatch) -> None:
         write(np.zeros((2, 16384, 3), np.uint8))
     monkeypatch.setattr("physhdr.backend.evaluate.video.WEBP_BYTES", 700)
     with (
-        pytest.raises(BadValueError, match=r"after 2 frames[\s\S]*--fps"),
+        pytest.raises(BadValueError, match=r"2 frames fill[\s\S]*--fps"),
         video_writer(path, fps=5) as write,
     ):
         for _ in range(3):
@@ -268,7 +268,7 @@ def test_pictures_of_others_are_neither_overwritten_nor_removed(tmp_path: Path) 
     for path, content in mine.items():
         path.write_bytes(content)
     write_frames(tmp_path, 1)
-    with pytest.raises(OutputError, match=r"frame_0001\.png is there, and nothing says[\s\S]*another folder"):
+    with pytest.raises(OutputError, match=r"frame_0001\.png exists, and may not be[\s\S]*another folder"):
         write_frames(tmp_path, 2)
     assert {path: path.read_bytes() for path in mine} == mine
     (tmp_path / "frame_0001.png").unlink()

@@ -112,7 +112,7 @@ def test_wrong_requests_are_answered_and_bounded(backend, enter):
     for _ in range(3):
         peer.socket.send(json.dumps(wrong[0]))
     code, reason = closing(peer)
-    assert code == 1008 and "too many wrong frames" in reason
+    assert code == 1008 and "too many invalid frames" in reason
 
 
 @pytest.mark.parametrize(
@@ -325,7 +325,7 @@ def test_one_steers_and_the_others_watch(backend, enter, refusal, tmp_path):
     for request in (RunOpen(run=str(tmp_path)), ModelExport(path=str(tmp_path / "m.safetensors"))):
         failure = refusal(second, request)
         assert failure.code == "not_in_control" and "Blender one" in failure.hint
-        assert "Blender one steers" in failure.message and type_name(type(request)) in failure.message
+        assert "Blender one controls" in failure.message and type_name(type(request)) in failure.message
     assert second.ask(StatusGet()).controller == "Blender one"
     assert second.ask(StatusGet()).in_control is False
     assert second.ask(ControlTake()) == Done()
