@@ -64,8 +64,12 @@ def run(tmp_path, make_model):
     write_model(tmp_path / "run/model.safetensors", lost)
     config = {"config": {}, "preset": "default", "data": str(tmp_path / "data")}
     (tmp_path / "run/config.json").write_text(json.dumps(config))
-    frames = [{"transform_matrix": pose(place).tolist()} for place in similarity.apply(LOST, CAMERAS)]
+    frames = [
+        {"file_path": f"train/{index}", "transform_matrix": pose(place).tolist()}
+        for index, place in enumerate(similarity.apply(LOST, CAMERAS))
+    ]
     (tmp_path / "data/transforms_train.json").write_text(json.dumps({"frames": frames}))
+    (tmp_path / "data/exposure_train.json").write_text("{}")
     return tmp_path / "run", room
 
 
@@ -187,8 +191,9 @@ def test_the_height_of_the_cameras_sets_the_ground_at_a_known_scale(registered, 
 
 def test_without_cameras_it_says_what_to_select(registered, run):
     target = load(run[0])
-    (run[0].parent / "data/transforms_train.json").unlink()
-    with pytest.raises(RuntimeError, match="has no cameras"):
+    for name in ("transforms", "exposure"):
+        (run[0].parent / f"data/{name}_train.json").unlink()
+    with pytest.raises(RuntimeError, match="is not a data set"):
         bpy.ops.physhdr.capture_height(height=1.6)
     (run[0].parent / "data").rmdir()
     with pytest.raises(RuntimeError, match="Select a camera that stands"):

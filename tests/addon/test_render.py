@@ -379,7 +379,7 @@ def test_script_sets_other_lights(relight, make_model, write, camera_file, tmp_p
         ("no model", "there is no model file"),
         ("index", "has no camera 5"),
         ("json", "is not valid JSON"),
-        ("nan", "not a finite 4×4 pose"),
+        ("nan", "'transform_matrix' holds NaN"),
         ("no camera", "there is no camera file"),
         ("out", "cannot"),
     ],
