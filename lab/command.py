@@ -37,18 +37,18 @@ from .benchmark.sized import sized
 class Benchmark:
     """Train and evaluate methods on scenes at equal budgets; runs that exist are not repeated.
 
-    Flags are shorthand for a plan file (lab/benchmarking.md); without either, the plan in --out goes on.
+    Options are shorthand for a plan file (lab/benchmarking.md); without either, the plan in --out continues.
     """
 
     #: Folder of the benchmark: its plan, its runs, report.md and report.csv.
     out: Path
-    #: A plan (TOML); flags below replace what it says.
+    #: A plan (TOML); the options below override it.
     plan: Path | None = None
-    #: What it is for: report (test views; the default), or tune (validation views alone, to make choices on).
+    #: Its purpose: report (test views; the default), or tune (validation views only, to make choices).
     kind: Literal["tune", "report"] | None = None
-    #: Presets, with commas or spaces between; or 'NAME := PRESET setting=value', one an argument.
+    #: Presets, separated by commas or spaces; or 'NAME := PRESET setting=value', one per argument.
     methods: tuple[str, ...] = ()
-    #: Pictures that another program made: NAME=FOLDER, with {scene} and so on (lab/compare.md).
+    #: Pictures made by another program: NAME=FOLDER, with {scene} and so on (lab/compare.md).
     external: tuple[str, ...] = ()
     #: Folders of data sets; NAME=FOLDER to name one.
     scenes: tuple[str, ...] = ()
@@ -56,11 +56,11 @@ class Benchmark:
     settings: tuple[str, ...] = ()
     #: For example 0,1,2.
     seeds: tuple[str, ...] = ()
-    #: iterations=N or cpu-seconds=S, the same for every run; several are several tables.
+    #: iterations=N or cpu-seconds=S, the same for every run; each one makes a table.
     budget: tuple[str, ...] = ()
     #: FIELD=VALUE for every method, such as downscale=2.
     set: tuple[str, ...] = ()
-    #: Whose margins over all but these are told: names between commas; default: the first method's.
+    #: Report the margins of these methods over all others, separated by commas; default: the first method.
     margins_of: tuple[str, ...] = ()
     #: LPIPS weights, as for physhdr evaluate.
     lpips_weights: Path | None = None
@@ -72,20 +72,20 @@ class Benchmark:
     jobs: int = 1
     #: Spread the runs over this Ray cluster (an address as for ray.init, or 'local' to start one).
     ray: str | None = None
-    #: Write the report (and a .csv beside it) here as well.
+    #: Also write the report (and a .csv) here.
     report: Path | None = None
-    #: Run nothing: report what is there, as it was evaluated; the plan in --out stays as it is.
+    #: Run nothing: report existing evaluations, and leave the plan in --out unchanged.
     report_only: bool = False
-    #: Try runs again that failed.
+    #: Retry failed runs.
     retry: bool = False
-    #: Evaluate again what is trained.
+    #: Evaluate trained runs again.
     evaluate_again: bool = False
 
     def run(self) -> int:
         plan = self._plan()
         require_allowed(plan)
         presets = {method.name: configuration(plan, method.name) for method in plan.trained}
-        console.print(f"reading {len(plan.scenes)} data sets to know them again")
+        console.print(f"computing fingerprints of {len(plan.scenes)} data sets")
         data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         out = writable_folder(self.out)
         if not self.report_only and not _is_in(out / PLAN_FILE, plan):
@@ -104,9 +104,9 @@ class Benchmark:
             if not self.report_only:
                 self._work_off(schedule, plan)
         except KeyboardInterrupt:
-            console.print("stopped: what is done is kept, and the same command goes on from there")
+            console.print("stopped: finished runs are kept; to resume, repeat the command")
             raise
-        finally:  # also after CTRL-C: what is done is reported
+        finally:  # also after CTRL-C
             is_written = self._write_report(schedule)
         if absent := [run for run in schedule.runs if schedule.status[run].kind == "absent"]:
             first = schedule.status[absent[0]].text
@@ -117,10 +117,10 @@ class Benchmark:
         return 0 if is_written and not bad else 1
 
     def _plan(self) -> Plan:
-        """The plan file (given, or in ``out``) with the flags on top."""
+        """The plan file (given, or in ``out``), overridden by options."""
         stored = self.out / PLAN_FILE
         if self.plan is not None and not self.plan.is_file():
-            raise FileMissingError(f"there is no plan {self.plan}", "Name a TOML file.")
+            raise FileMissingError(f"there is no plan {self.plan}", "Give a TOML file.")
         fresh = (self.methods or self.external) and self.scenes and self.budget
         source = self.plan or (stored if stored.is_file() and not fresh else None)
         content = read_plan(source) if source else {}
@@ -141,8 +141,8 @@ class Benchmark:
         given = {key: value for key, value in flags.items() if value not in (None, [], "")}
         return make_plan(content | given, Path.cwd())
 
-    def _over_the_plan(self) -> list[str]:
-        """The flags that were given instead of what the plan file says, as words."""
+    def _overrides(self) -> list[str]:
+        """The options that override the plan file, as arguments."""
         given: dict[str, tuple[str, ...]] = {
             "--kind": (self.kind,) if self.kind else (),
             "--methods": self.methods,
@@ -175,19 +175,19 @@ class Benchmark:
                 schedule.work_off(pool, lambda: live.update(progress_table(schedule), refresh=True))
 
     def _write_report(self, schedule: Schedule) -> bool:
-        """Whether it was written: a report that tells of runs is not replaced by one that tells of none."""
+        """Write it and return True, unless it has no runs and would replace one that has."""
         given = [self.report] if self.report else []
         places = [schedule.store.out / REPORT_FILE, *given]
         is_any_done = any(status.kind == "done" for status in schedule.status.values())
         if not is_any_done and (kept := [str(path) for path in places if holds_runs(path)]):
             console.print(
-                f"no run of this plan is done: what is in {', '.join(kept)} is kept. Name another "
-                "folder for this plan, --out, or run it without --report-only.",
+                f"no run of this plan is done: not replacing {', '.join(kept)}. Give another folder for this "
+                "plan, --out, or run it without --report-only.",
                 soft_wrap=True,
             )
             return False
         words = ["--plan", _shown(self.plan)] if self.plan else []
-        words += self._over_the_plan()
+        words += self._overrides()
         words += ["--out", str(self.out), *(word for path in given for word in ("--report", _shown(path)))]
         command = shlex.join(["physhdr", "benchmark", *words])
         paths = []
@@ -200,11 +200,11 @@ class Benchmark:
 def configurations(
     plan: Plan, presets: dict[str, TrainConfig], out: Path
 ) -> dict[tuple[str, str], dict[str, Any]]:
-    """By method and scene, what ``config.json`` of its runs will say but for what is each run's own.
+    """By method and scene, the content of its runs' ``config.json`` apart from what is specific to a run.
 
-    ``presets``: of each method its ``configuration``. Raises ``OutputError``.
+    ``presets``: each method's ``configuration``. Raises ``OutputError``.
     """
-    # What differs between runs is typed, too.
+    # Settings that differ between runs count as typed, too.
     typed = {each.name: (*map(setting_in, plan.settings_of(each)), *PER_RUN) for each in plan.trained}
     found = {}
     for scene in plan.scenes:
@@ -214,9 +214,9 @@ def configurations(
 
 
 def configuration(plan: Plan, name: str) -> TrainConfig:
-    """The whole configuration of a method as training will have it, before its sizes are found from the data.
+    """The whole configuration of a method for training, before its sizes are found from the data.
 
-    Raises ``BadValueError`` for an unknown preset or setting, and for what one cannot be.
+    Raises ``BadValueError`` for an unknown preset or setting, and for an invalid value.
     """
     method = next(method for method in plan.methods if method.name == name)
     try:
@@ -235,12 +235,12 @@ def _as_written(config: TrainConfig) -> dict[str, Any]:
 
 
 def _shown(path: Path) -> str:
-    """As it was given; of a whole path the name, for where a checkout lies is nobody else's business."""
+    """As given; only the name of an absolute path, because the location of a checkout is private."""
     return path.name if path.is_absolute() else str(path)
 
 
 def _is_in(path: Path, plan: Plan) -> bool:
-    """Whether the file says just this; written by hand, it may say it with comments and relative folders."""
+    """Whether the file has this plan; a hand-written one may have comments and relative folders."""
     try:
         return make_plan(read_plan(path), path.parent) == plan
     except PhysHDRError:
@@ -256,7 +256,7 @@ def _weights(path: Path | None) -> str:
 
 
 def _split(words: tuple[str, ...]) -> list[str]:
-    """Words with commas between become several; a defined method stays whole."""
+    """Split words at commas; a defined method stays whole."""
     parts = [part for word in words for part in ([word] if ":=" in word else word.split(","))]
     return [part.strip() for part in parts if part.strip()]
 
@@ -281,5 +281,5 @@ if __name__ == "__main__":
     sys.exit(tyro.cli(Benchmark).run())
 
 
-#: What it adds to the command line (``backend/tables.py``).
+#: Added to the command line (``backend/tables.py``).
 COMMANDS = {"benchmark": Benchmark}

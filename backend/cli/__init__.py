@@ -181,7 +181,8 @@ def _command(argv: list[str]) -> Any:
     added: Table[Any] = Table("commands", {})
     commands = {name: _options_of(name) for name in COMMANDS} | dict(added)
     each = (Annotated[options, tyro.conf.subcommand(name)] for name, options in commands.items())
-    return tyro.cli(reduce(or_, each), prog="physhdr", description=__doc__, args=argv)
+    options: Any = reduce(or_, each)
+    return tyro.cli(options, prog="physhdr", description=__doc__, args=argv)
 
 
 def _options_of(name: str) -> Any:

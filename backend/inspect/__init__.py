@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a data set's folder: a list of everything, with all that is missing or damaged.
+"""Reports the content of a data set's folder, and everything missing or damaged.
 
-The reader (``backend/scene``) stops at the first fault, as training must. Here each file is looked at by
-itself, and then the reader has the last word.
+The reader (``backend/scene``) stops at the first fault, as training must. Here each file is checked by
+itself, and finally the reader is called.
 """
 
 from pathlib import Path
@@ -19,10 +19,10 @@ __all__ = ["inspect"]
 
 
 def inspect(root: Path, downscale: float | None = None, color_space: str | None = None) -> Inspection:
-    """Look at every file of a data set, in whichever layout.
+    """Check every file of a data set, in any layout.
 
-    ``downscale``, ``color_space``: as training would read it (``read_scene``).
-    Raises nothing that a damaged data set could cause.
+    ``downscale``, ``color_space``: as for training (``read_scene``).
+    A damaged data set raises no errors; they are part of the result.
     """
     root = Path(root)
     found = Inspection(str(root), scene=resolved(root).name)
@@ -37,7 +37,7 @@ def inspect(root: Path, downscale: float | None = None, color_space: str | None 
 def _ask_the_reader(
     root: Path, downscale: float | None, color_space: str | None, found: Inspection, faulty: set[Path]
 ) -> Scene | None:
-    """What training would say, unless it has been said of one of the ``faulty`` files already."""
+    """Add the error that training would raise, unless it names one of the ``faulty`` files."""
     try:
         scene = read_scene(root, downscale, color_space)
     except PhysHDRError as error:

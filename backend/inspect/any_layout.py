@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a data set of a layout that is not ours, seen through the scene that its reader makes of it.
+"""Inspects a data set of another layout through the scene returned by its reader.
 
-The reader has looked at every header by then; here each picture is decoded, and the truth, where there is
-any.
+The reader has checked every header by then; here each picture is decoded, and the truth, if any.
 """
 
 import numpy as np
@@ -13,12 +12,12 @@ from ..evaluate import truth
 from ..evaluate.published import keeps_exposures_for_testing
 from ..scene import Scene, View
 from ..scene.source import exr_rec709
-from .findings import Inspection, Split, tell_exposures, warn_of_exposures
+from .findings import Inspection, Split, add_exposures, warn_of_exposures
 from .pixels import TrainingPixels
 
 
 def look_at_scene(scene: Scene, found: Inspection) -> None:
-    """Add to ``found`` what the views and their truth are; every fault is an entry of ``found.errors``."""
+    """Add the views and their truth to ``found``; every fault is an entry of ``found.errors``."""
     found.scene = scene.name
     splits = {name: views for name, views in scene.splits.items() if views}
     found.splits = {name: Split(len(views)) for name, views in splits.items()}
@@ -26,7 +25,7 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
         name: [dict(zip(view.bracket, view.exposures, strict=True)) for view in views]
         for name, views in splits.items()
     }
-    tell_exposures(found, brackets, scene.photographs and not keeps_exposures_for_testing(scene))
+    add_exposures(found, brackets, scene.photographs and not keeps_exposures_for_testing(scene))
     if scene.response_anchor is not None:
         light, code = scene.response_anchor
         found.response = f"response of {code:g} at exposure × radiance = {light:g}"
@@ -44,14 +43,14 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
                 else:
                     pixels.add_picture(picture, view.bracket[i], seconds, mask)
     _look_at_truth(scene, found, pixels)
-    pixels.tell(found)
+    pixels.summarise(found)
     if found.points is None:
         found.warnings.append(
-            "there are no first points: training starts from those that stereo finds in the pictures "
+            "there are no first points: training will find some by stereo "
             "(physhdr prepare --triangulate finds some by structure from motion)"
         )
     if not all(encoding.is_known for view in scene.train for encoding in view.encodings):
-        warn_of_exposures(found)  # what is known of radiance needs no bracket
+        warn_of_exposures(found)  # pictures of radiance need no bracket
 
 
 def _picture(view: View, i: int, found: Inspection) -> np.ndarray | None:

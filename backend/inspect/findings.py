@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an inspection of a data set says, and the judgements that are the same for every layout."""
+"""The result of inspecting a data set, and the checks shared by all layouts."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from ..evaluate.results import OBSERVED, part_of
 
 @dataclass
 class Split:
-    """``poses``: how many. ``levels``: light → the levels it has here. ``hdr``: how many true pictures."""
+    """``poses``: number of poses. ``levels``: light → its levels. ``hdr``: number of true pictures."""
 
     poses: int
     levels: dict[str, list[float]] = field(default_factory=dict)
@@ -23,7 +23,7 @@ class Split:
 
 @dataclass
 class Exposure:
-    """``use``: OE (training sees it), NE (evaluation only). ``white``, ``black``: of the training pixels.
+    """``use``: OE (for training), NE (evaluation only). ``white``, ``black``: shares of the training pixels.
 
     ``place``: in the bracket, 0 to 4 in the paper's data.
     """
@@ -54,9 +54,8 @@ class DynamicRange:
 class Inspection:
     """Everything found in ``folder``; ``errors`` are faults that make the data unusable as they are.
 
-    ``remedies``: what to do about each of them, in their order.
-    ``messages``: what the reader decided, in sentences. ``resolution``: of the view in the middle by size, as
-    training sees it, pixels; ``resolutions``: how many different ones there are.
+    ``remedies``: one for each of them. ``messages``: decisions of the reader. ``resolution``: pixels of the
+    view of median size, as in training; ``resolutions``: how many different ones there are.
     """
 
     folder: str
@@ -69,37 +68,37 @@ class Inspection:
     exposures: list[Exposure] = field(default_factory=list)
     exposure_modes: list[str] = field(default_factory=list)
     over_views: float = 0.0
-    """Stops from the shortest to the longest exposure where each view has one of its own."""
+    """Stops from the shortest to the longest exposure if each view has its own."""
     lights: list[str] = field(default_factory=list)
     relit: list[dict[str, Any]] = field(default_factory=list)
     passes: int = 0
     samples: dict[str, list[float]] = field(default_factory=dict)
-    """Of each split: samples a pixel of each pose's render."""
+    """For each split, the samples per pixel of each pose's render."""
     noise_psnr: list[float] = field(default_factory=list)
-    """Of each pose's render: dB, before denoising."""
+    """Of each pose's render in dB, before denoising."""
     points: int | None = None
     points_origin: str = ""
-    """What kind of points they are, as their file says; empty where it does not."""
+    """The kind of points according to their file; empty if unknown."""
     response: str = ""
     camera: dict[str, Any] = field(default_factory=dict)
     dynamic_range: DynamicRange | None = None
     noise_floor: dict[str, Any] | None = None
-    """Two renders of one test view: ``psnr`` (dB at each exposure) and ``hdr_psnr``, as they are stated."""
+    """Of two renders of one test view: ``psnr`` (dB at each exposure) and ``hdr_psnr``, as stated."""
     reference_floor: dict[str, Any] | None = None
-    """The test view that is kept against one rendered without denoising at ``samples``: the same."""
+    """The same for the stored test view and one rendered without denoising at ``samples``."""
     messages: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
     remedies: list[str] = field(default_factory=list)
 
     def add_fault(self, message: str, remedy: str) -> None:
-        """A further one of the ``errors``."""
+        """Add one of the ``errors``."""
         self.errors.append(message)
         self.remedies.append(remedy)
 
 
 def samples_in_words(samples: Mapping[str, Sequence[float]]) -> str:
-    """``256``, ``8 … 10``; where the splits differ, ``train 256, test 4096``."""
+    """``256``, ``8 … 10``; if the splits differ, ``train 256, test 4096``."""
     spans = {split: span(values) for split, values in samples.items()}
     if len(set(spans.values())) == 1:
         return next(iter(spans.values()))
@@ -114,9 +113,9 @@ def span(values: Sequence[float]) -> str:
 
 
 def floor_in_words(floor: Mapping[str, Any]) -> str:
-    """``50, 51 dB at the exposures, HDR 47 dB``, and of how many samples where the floor says.
+    """``50, 51 dB at the exposures, HDR 47 dB``, and the number of samples if known.
 
-    A floor of kept truth was measured by a response that it names, which need not be that of the data.
+    The floor of stored truth was measured with the response it names, which may differ from the data's.
     """
     hdr, samples, response = floor.get("hdr_psnr"), floor.get("samples"), floor.get("response")
     by = f" by {response:.40}" if isinstance(response, str) else ""
@@ -127,12 +126,12 @@ def floor_in_words(floor: Mapping[str, Any]) -> str:
     )
 
 
-def tell_exposures(
+def add_exposures(
     found: Inspection, brackets: dict[str, list[dict[int, float]]], sees_all: bool = False
 ) -> None:
-    """The exposures by their place in the bracket, and how training may use them.
+    """Add the exposures by their place in the bracket, and their use in training.
 
-    ``brackets``: of each split, one a view, place → seconds. ``sees_all``: training does.
+    ``brackets``: for each split, one per view, place → seconds. ``sees_all``: training uses all.
     """
     every = [bracket for views in brackets.values() for bracket in views]
     places: dict[int, float] = {}
@@ -144,7 +143,7 @@ def tell_exposures(
         seconds = [only for bracket in every for only in bracket.values()]
         found.over_views = round(math.log2(max(seconds) / min(seconds)), 4)
         found.messages.append(
-            f"one exposure a view, from {min(seconds):.3g} to {max(seconds):.3g} s: a bracket of "
+            f"one exposure per view, from {min(seconds):.3g} to {max(seconds):.3g} s: a bracket of "
             f"{found.over_views:.2g} stops over the views (the first view's is shown)"
         )
     elif differ:
@@ -159,7 +158,7 @@ def tell_exposures(
 
 
 def warn_of_exposures(found: Inspection) -> None:
-    """What is lost at both ends of the bracket, too few exposures, no test views."""
+    """Warn of losses at both ends of the bracket, too few exposures, and missing test views."""
     warn = found.warnings.append
     if found.exposures:
         in_order = sorted(found.exposures, key=lambda exposure: exposure.seconds)

@@ -11,7 +11,7 @@ from ..scene.pictures import read_exr_channels
 def read_layers(path: Path) -> dict[str, np.ndarray]:
     """``{"ambient.R": [H, W] float32, …, "depth.V": …}``: every channel of an OpenEXR file by its name.
 
-    Raises ``FileMissingError``; ``FileDamagedError`` if it is no OpenEXR, truncated, deep, or claims more
+    Raises ``FileMissingError``; ``FileDamagedError`` if it is not OpenEXR, truncated, deep, or claims more
     pixels than the file can hold.
     """
-    return read_exr_channels(Path(path), "Make the data set again: only what is missing is made.")
+    return read_exr_channels(Path(path), "Make the data set again, which only makes what is missing.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a data set of our own layout: one walk through the folder, file by file."""
+"""Inspects a data set of our own layout, file by file."""
 
 import hashlib
 from collections.abc import Callable
@@ -18,18 +18,20 @@ from ...bridge.regular import read_json_object
 from ..scene.hdr_nerf_syn import OURS
 from ..scene.pictures import read_codes
 from ..scene.source import exr_rec709
-from .findings import Inspection, Split, tell_exposures, warn_of_exposures
+from .findings import Inspection, Split, add_exposures, warn_of_exposures
 from .layers import read_layers
 from .pixels import TrainingPixels
 
-#: What to do about a fault that tells nothing better.
-MAKE_AGAIN = "Delete what is damaged, then make the data set again (only what is missing is made) or copy it."
-#: dataset.json may differ from what is measured by its rounding.
+#: The default remedy.
+MAKE_AGAIN = (
+    "Delete what is damaged, then make the data set again (which only makes what is missing) or copy it."
+)
+#: dataset.json may differ from measurements by its rounding.
 STOPS_TOLERANCE = 0.05
 
 
 def look_at_folder(root: Path, found: Inspection) -> set[Path]:
-    """Add to ``found`` what is there and every fault; returns the files that have one."""
+    """Add the content and every fault to ``found``; returns the faulty files."""
     return _Walk(root, found).faulty
 
 
@@ -47,12 +49,12 @@ class _Walk:
         self.pixels = TrainingPixels()
         self._head()
         self._splits()
-        tell_exposures(
+        add_exposures(
             found, {name: [frame.seconds for frame in split.frames] for name, split in self.splits.items()}
         )
         self._pictures()
         self._truth()
-        self.pixels.tell(found)
+        self.pixels.summarise(found)
         self._relit()
         self._passes()
         self._warn()
@@ -60,7 +62,7 @@ class _Walk:
     # -- text ----------------------------------------------------------------------------------------------
 
     def _json(self, path: Path) -> dict[str, Any]:
-        """The object in a file; {} and an error where it holds none."""
+        """The object in a file; {} and a fault if there is none."""
         try:
             return read_json_object(path)
         except PhysHDRError as error:
@@ -103,15 +105,15 @@ class _Walk:
             there = self.found.splits[name].poses if name in self.found.splits else 0
             if count != there:
                 self.found.add_fault(
-                    f"{self.root / data_set.INFO_FILE} speaks of {count} {name} poses, "
-                    f"{data_set.transforms_file(name)} holds {there}",
+                    f"{self.root / data_set.INFO_FILE} states {count} {name} poses, "
+                    f"{data_set.transforms_file(name)} has {there}",
                     MAKE_AGAIN,
                 )
 
     # -- pictures ------------------------------------------------------------------------------------------
 
     def _pictures(self) -> None:
-        """Every picture."""
+        """Check every picture."""
         for name, split in self.splits.items():
             for frame in split.frames:
                 for place, seconds in frame.seconds.items():
@@ -121,7 +123,7 @@ class _Walk:
                         self.pixels.add_picture(picture, place, seconds)
 
     def _picture(self, path: Path, read: Callable[[Path], np.ndarray]) -> np.ndarray | None:
-        """What ``read`` returns; None and an error where it fails, or the size is not the data set's."""
+        """The result of ``read``; None and a fault if it fails, or the size is not the data set's."""
         try:
             picture = read(path)
         except PhysHDRError as error:
@@ -137,7 +139,7 @@ class _Walk:
         return picture
 
     def _truth(self) -> None:
-        """The true radiance of each split, where the data set has any."""
+        """Check the true radiance of each split, if any."""
         for name, split in self.splits.items():
             folder = self.root / data_set.truth_folder(name)
             for frame in split.frames if folder.is_dir() else []:
@@ -148,14 +150,14 @@ class _Walk:
                         self.pixels.add_truth(radiance)
 
     def _relit(self) -> None:
-        """Every picture of every relit folder, those that dataset.json names and those that are there."""
+        """Check every picture of all relit folders, those listed in dataset.json and those that exist."""
         named = self.info.get("relit")
-        told = {
+        listed = {
             str(entry["folder"]): {k: v for k, v in _object(entry.get("levels")).items() if is_number(v)}
             for entry in (named if isinstance(named, list) else [])
             if isinstance(entry, dict) and "folder" in entry
         }
-        for folder in dict.fromkeys([*told, *data_set.mixture_folders(self.root)]):
+        for folder in dict.fromkeys([*listed, *data_set.mixture_folders(self.root)]):
             paths = sorted((self.root / folder).glob(data_set.TRUTH_FILES))
             whole = [path for path in paths if self._picture(path, exr_rec709) is not None]
             if not paths:
@@ -164,44 +166,44 @@ class _Walk:
                 )
             numbers = (data_set.truth_number(path.name) for path in whole)
             poses = [number for number in numbers if number is not None]
-            levels = told.get(folder) or data_set.mixture_levels(folder)
+            levels = listed.get(folder) or data_set.mixture_levels(folder)
             self.found.relit.append({"folder": folder, "levels": levels, "poses": poses})
 
     def _passes(self) -> None:
-        """Every pose's passes: readable, and the bytes that dataset.json has the hash of."""
-        told = {}
+        """Check that every pose's passes are readable and have the hash in dataset.json."""
+        hashes = {}
         for name, frame in _object(self.info.get("frames")).items():
             frame = _object(frame)
-            told[self.root / str(frame.get("file"))] = frame.get("sha256")
+            hashes[self.root / str(frame.get("file"))] = frame.get("sha256")
             if is_number(samples := frame.get("samples")):
                 self.found.samples.setdefault(name.partition("/")[0], []).append(samples)
             if is_number(noise := frame.get("noise_psnr")):
                 self.found.noise_psnr.append(noise)
         if is_number(stated := self.info.get("test_samples")):
-            for name in data_set.HELD_OUT:  # truth that was rendered elsewhere: no frame tells its samples
+            for name in data_set.HELD_OUT:  # truth that was rendered elsewhere: no frame states its samples
                 if name in self.splits:
                     self.found.samples.setdefault(name, [stated])
         for path in data_set.passes_files(self.root):
             if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
                 continue
             self.found.passes += 1
-            if told.get(path, "") and told[path] != hashlib.sha256(path.read_bytes()).hexdigest():
-                self._fault(path, f"{path} was changed: it has not the hash that dataset.json tells")
-        absent = sum(not path.is_file() for path in told)
+            if hashes.get(path, "") and hashes[path] != hashlib.sha256(path.read_bytes()).hexdigest():
+                self._fault(path, f"{path} was changed: its hash differs from dataset.json")
+        absent = sum(not path.is_file() for path in hashes)
         if absent:
-            self.found.warnings.append(f"{absent} of {len(told)} passes are missing: training needs none")
+            self.found.warnings.append(f"{absent} of {len(hashes)} passes are missing: training needs none")
 
-    # -- judgement -----------------------------------------------------------------------------------------
+    # -- warnings ------------------------------------------------------------------------------------------
 
     def _warn(self) -> None:
         found, warn = self.found, self.found.warnings.append
         if data_set.is_unfinished(self.root):
-            warn("the data set is not finished: make_scene.py is at it, or was interrupted (start it again)")
+            warn("the data set is not finished: make_scene.py is running or was interrupted (start it again)")
         warn_of_exposures(found)
-        said, measured = data_set.stated_stops(self.info), found.dynamic_range
+        stated, measured = data_set.stated_stops(self.info), found.dynamic_range
         known = measured.stops if measured and not measured.estimated else None
-        if said is not None and known is not None and abs(said - known) > STOPS_TOLERANCE:
-            warn(f"dataset.json says {said} stops, train_hdr/ has {known}: was it made anew?")
+        if stated is not None and known is not None and abs(stated - known) > STOPS_TOLERANCE:
+            warn(f"dataset.json says {stated} stops, train_hdr/ has {known}: has it been replaced?")
 
 
 # ---- parts of dataset.json ---------------------------------------------------------------------------
@@ -212,7 +214,7 @@ def _object(value: Any) -> dict[str, Any]:
 
 
 def _floor(value: Any) -> dict[str, Any] | None:
-    """A floor of noise as ``dataset.json`` has it; None where it has none that can be told."""
+    """A noise floor in ``dataset.json``; None if missing or invalid."""
     floor = _object(value)
     psnr = floor.get("psnr")
     return floor if isinstance(psnr, list) and psnr and all(map(is_number, psnr)) else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the decoded pictures of the training views show: how much is clipped, and how many stops there are."""
+"""Measures the training pictures: shares of clipped pixels, and dynamic range in stops."""
 
 import math
 
@@ -9,15 +9,15 @@ from ...bridge.contents import LUMINANCE, stops_between
 from ..scene.encoding import eight_bits
 from .findings import DynamicRange, Inspection
 
-#: The response that is assumed where radiance is estimated from pictures: (x / (1 + x))^(1 / 2.2), which is
-#: HDR-NeRF-Syn's camera.
+#: The response assumed when estimating radiance from pictures: (x / (1 + x))^(1 / 2.2), HDR-NeRF-Syn's
+#: camera.
 GAMMA = 2.2
-#: Luminance is counted by the first bits of a float32: its exponent, and twelve of the 23 that follow.
+#: Luminance is counted by the first bits of a float32: its exponent, and twelve of the 23 following.
 LEFT_OUT_BITS = 11
 
 
 class LuminanceCounts:
-    """How many pixels have which luminance, to a part in 4096: pictures of any number need 8 MB."""
+    """A histogram of luminance, accurate to a part in 4096: any number of pictures needs 8 MB."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(1 << (31 - LEFT_OUT_BITS), np.int64)
@@ -32,7 +32,7 @@ class LuminanceCounts:
         self._counts += np.bincount(bits, minlength=len(self._counts))
 
     def percentile(self, share: float) -> float:
-        """As ``np.percentile``, of values that are rounded down; 0 without any."""
+        """As ``np.percentile``, of values rounded down; 0 without any."""
         rising = np.cumsum(self._counts)
         if not rising[-1]:
             return 0.0
@@ -43,7 +43,7 @@ class LuminanceCounts:
 
 
 class TrainingPixels:
-    """Counts of the pictures and luminance of the truth; ``tell`` says what they come to."""
+    """Counts of the pictures and luminance of the truth; ``summarise`` adds the results."""
 
     def __init__(self) -> None:
         self._clipped: dict[int, list[tuple[float, float]]] = {}
@@ -55,8 +55,8 @@ class TrainingPixels:
     ) -> None:
         """``picture`` ``[H, W, 3]`` uint8 or uint16, a camera's, its place in the bracket and exposure.
 
-        ``mask``: where it is looked at, ``[H, W]`` bool; None: everywhere. Of 16 bits the nearest 8
-        count. White is a pixel with a channel at 255, black one with all at 0; codes are means over channels.
+        ``mask``: pixels that count, ``[H, W]`` bool; None: all. 16 bits are rounded to 8. White is a pixel
+        with a channel at 255, black one with all at 0; codes are means over channels.
         """
         picture = eight_bits(picture)
         if mask is not None:
@@ -70,7 +70,7 @@ class TrainingPixels:
         self._codes[seconds] = self._codes.get(seconds, np.zeros(256, np.int64)) + counted
 
     def add_radiance(self, exposed: np.ndarray, seconds: float) -> None:
-        """A picture ``[…, 3]`` that holds exposure × radiance, where it is looked at."""
+        """The counted pixels ``[…, 3]`` of a picture of exposure × radiance."""
         if exposed.size:
             self._add_luminance(exposed.astype(np.float64) @ LUMINANCE / seconds)
 
@@ -82,8 +82,8 @@ class TrainingPixels:
         self._luminance = self._luminance or LuminanceCounts()
         self._luminance.add(luminance)
 
-    def tell(self, found: Inspection) -> None:
-        """The clipped shares of each exposure, and the dynamic range: of the truth, where there is any."""
+    def summarise(self, found: Inspection) -> None:
+        """Add the clipped shares of each exposure, and the dynamic range, of the truth if there is any."""
         for exposure in found.exposures:
             if exposure.place in self._clipped:
                 means = np.mean(self._clipped[exposure.place], axis=0)
@@ -95,8 +95,8 @@ class TrainingPixels:
             found.dynamic_range = self._estimate()
 
     def _estimate(self) -> DynamicRange:
-        """From pictures alone: the brightest pixel of the shortest exposure over the 1st percentile of the
-        longest, both through the inverse of the response that is assumed.
+        """From pictures: the brightest pixel of the shortest exposure over the 1st percentile of the longest,
+        both through the inverse of the assumed response.
         """
         shortest, longest = min(self._codes), max(self._codes)
         brightest = int(np.nonzero(self._codes[shortest])[0][-1])

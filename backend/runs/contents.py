@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What pictures hold, in a few characters: by it others of the same names and sizes are told apart.
+"""Fingerprints of pictures, which distinguish different ones with the same names and sizes.
 
-Of every picture's file, and of its mask, size and checksum; and what is done to it before it is compared (a
-lens's distortion, orientation, colours), which data sets state elsewhere. Nothing is decoded.
+They consist of size and checksum of every picture's and mask's file, and of its treatment before comparing
+(undistortion, orientation, colours), which data sets state elsewhere. Nothing is decoded.
 """
 
 import hashlib
@@ -17,15 +17,15 @@ from ...bridge.regular import regular_file
 from ..scene import View
 from ..scene.source import PictureSource
 
-#: Bytes of a checksum (BLAKE2b): enough to tell files apart by chance.
+#: Bytes of a checksum (BLAKE2b): enough against accidental collisions.
 CHECKSUM_BYTES = 16
 PICTURE, MASK, TREATMENT = "picture", "mask", "treatment"
-#: Of one picture, as ``views.json`` has it: by these names texts, None where there is no file.
+#: Fingerprint of one picture in ``views.json``: texts by these names, None if there is no file.
 Contents = Mapping[str, str | None]
 
 
 def contents_of(views: Sequence[View]) -> list[list[Contents]]:
-    """Of each view the ``Contents`` of its pictures. Each file is read once, several at a time."""
+    """The ``Contents`` of each view's pictures. Each file is read once, several at a time."""
     sources = [source for view in views for source in view.sources]
     paths = list(dict.fromkeys(path for source in sources for path in _files(source).values()))
     with ThreadPoolExecutor() as pool:
@@ -39,16 +39,16 @@ def contents_of(views: Sequence[View]) -> list[list[Contents]]:
     ]
 
 
-def first_difference(views: Sequence[View], kept: Sequence[Sequence[Contents]]) -> str:
-    """Which picture of ``views`` is another than ``kept`` says, in words; empty where all are the same."""
-    for view, now, before in zip(views, contents_of(views), kept, strict=True):
+def first_difference(views: Sequence[View], stored: Sequence[Sequence[Contents]]) -> str:
+    """A description of the first picture of ``views`` that differs from ``stored``; empty if none does."""
+    for view, now, before in zip(views, contents_of(views), stored, strict=True):
         for source, here, there in zip(view.sources, now, before, strict=True):
             if here.get(PICTURE) != there.get(PICTURE):
-                return f"{source.path} is another picture"
+                return f"{source.path} is a different picture"
             if here.get(MASK) != there.get(MASK):
-                return f"{source.path} has another mask"
+                return f"{source.path} has a different mask"
             if here != there:
-                return f"{source.path} has another lens, orientation or colour space"
+                return f"{source.path} has a different lens, orientation or colour space"
     return ""
 
 
@@ -57,7 +57,7 @@ def _files(source: PictureSource) -> dict[str, Path]:
 
 
 def _fingerprint(path: Path) -> str | None:
-    """Size in bytes and a checksum of all of a file; None where it cannot be read."""
+    """Size in bytes and checksum of a file; None if it cannot be read."""
     try:
         found = regular_file(path).stat()
         return _read(path, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
@@ -67,17 +67,17 @@ def _fingerprint(path: Path) -> str | None:
 
 @lru_cache(maxsize=1 << 16)
 def _read(path: Path, *_: int) -> str:
-    """Once for each state of a file: a run is opened and then resumed, or drawn again and again."""
+    """Read once for each state of a file, because runs are opened and resumed, or rendered repeatedly."""
     with open(path, "rb") as file:
         digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=CHECKSUM_BYTES))
         return f"{file.tell()} {digest.hexdigest()}"
 
 
 def _treatment(source: PictureSource) -> str:
-    """Equal where the same is done; numbers are rounded, as machines round their last digits differently."""
+    """Equal for equal treatment; numbers are rounded, because machines differ in their last digits."""
     key: Any = source.key
-    said = _words(part for part in key if not isinstance(part, Path))
-    return hashlib.blake2b(said.encode(), digest_size=CHECKSUM_BYTES).hexdigest()
+    text = _words(part for part in key if not isinstance(part, Path))
+    return hashlib.blake2b(text.encode(), digest_size=CHECKSUM_BYTES).hexdigest()
 
 
 def _words(parts: Iterable[object]) -> str:

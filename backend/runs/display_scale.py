@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the radiance of photographs is multiplied by, so that they look on a display as they were taken.
+"""The scale of photographs' radiance that makes renders look on a display like the photos.
 
-Photographs leave the unit of radiance free: twice the radiance, and a response that needs twice as much,
-give the same pictures. The unit is chosen so that a photo has the same mean code as its radiance times its
-exposure has with sRGB's curve (Blender's view transform *Standard*). The model alone tells both.
+Photographs leave the unit of radiance undetermined: twice the radiance, with a response that needs twice as
+much, gives the same pictures. The unit is chosen so that a photo has the same mean code as its radiance times
+its exposure through sRGB's curve (Blender's view transform *Standard*). Both come from the model alone.
 """
 
 import numpy as np
@@ -13,19 +13,19 @@ from ...bridge import srgb
 from ..methods.base import Method
 from ..scene.camera import Camera
 
-#: Pixels of the picture that is compared.
+#: Width of the compared image, pixels.
 WIDTH = 96
-#: Stops; what is asked for more has black or white pictures, which say nothing.
+#: Limit in stops: larger scales come from black or white pictures, which are uninformative.
 MOST_STOPS = 8.0
-#: Halvings of that: to a thousandth of a stop.
+#: Bisection steps, to a thousandth of a stop.
 STEPS = 14
 
 
 @torch.no_grad()
 def display_scale(method: Method, camera: Camera, exposure: float) -> float:
-    """The scale at which ``camera``'s picture of ``exposure`` seconds looks as the method develops it.
+    """The scale at which ``camera``'s image at ``exposure`` seconds looks as through the method's response.
 
-    1 where no scale does that.
+    1 if no scale does that.
     """
     camera = camera.resized(min(WIDTH, camera.width))
     wanted = float(method.ldr(camera, exposure).double().mean())

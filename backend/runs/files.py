@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies in a run's folder: whether it holds a run, somebody's own files, or one that is replaced."""
+"""The files in a run's folder: whether it holds a run or other files, and removing a replaced run."""
 
 import json
 import os
@@ -16,12 +16,12 @@ from ..export import FILES as EXPORTED
 from ..export.web_page import remove_web_page
 from ..train.config import CONFIG_FILE
 
-#: What the safetensors library calls a file that it is still writing.
+#: Names of files that the safetensors library is still writing.
 UNFINISHED = re.compile(r"\.tmp[A-Za-z0-9]{6}")
 
 
 def refuse_a_run(folder: Path) -> None:
-    """Raises ``DataMismatchError`` where the folder holds a run already."""
+    """Raises ``DataMismatchError`` if the folder holds a run already."""
     if (folder / CHECKPOINT_FILE).exists():
         raise DataMismatchError(
             f"{folder} already holds a run",
@@ -30,15 +30,15 @@ def refuse_a_run(folder: Path) -> None:
 
 
 def holds_a_run(folder: Path) -> bool:
-    """Whether a training wrote the folder's configuration, be it complete or not.
+    """Whether a training wrote the folder's configuration, complete or not.
 
-    Raises ``DataMismatchError`` where a file of somebody else's has the name of one that would be written.
+    Raises ``DataMismatchError`` if a file of other origin has the name of one that would be written.
     """
     path = folder / CONFIG_FILE
     if not path.exists():
         if (folder / CHECKPOINT_FILE).exists():
             raise DataMismatchError(
-                f"{folder / CHECKPOINT_FILE} has no configuration beside it, and would be replaced",
+                f"{folder / CHECKPOINT_FILE} has no configuration and would be replaced",
                 "Choose another --out, or move that file away.",
             )
         return False
@@ -48,17 +48,17 @@ def holds_a_run(folder: Path) -> bool:
             content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, dict) or not {"config", "data", "preset"} <= content.keys():
         raise DataMismatchError(
-            f"{path} is not a run's configuration, and would be replaced",
+            f"{path} is not a run's configuration and would be replaced",
             "Choose another --out, or move that file away.",
         )
     return True
 
 
 def remove_results(folder: Path) -> None:
-    """Remove what a run that is replaced has left: weights, figures, exports, its page, unfinished files.
+    """Remove the files of a replaced run: weights, figures, exports, its page, unfinished files.
 
-    They would be taken for the new run's. The caller holds the folder, which must hold a run: elsewhere
-    files of these names are somebody's own. Raises ``OutputError``.
+    They would be taken for the new run's. The caller has locked the folder, which must hold a run: elsewhere,
+    files of these names are the user's own. Raises ``OutputError``.
     """
     for name in (
         CHECKPOINT_FILE,
@@ -66,7 +66,7 @@ def remove_results(folder: Path) -> None:
         *report.FILES,
         *CALIBRATION_FILES,
         *EXPORTED,
-    ):  # the weights first: all else comes of them
+    ):  # the weights first, because all else was made from them
         try:
             (folder / name).unlink(missing_ok=True)
         except OSError as error:
@@ -79,17 +79,17 @@ def remove_results(folder: Path) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what trainings that were killed had begun to write; the caller holds the folder."""
+    """Remove unfinished files of killed trainings; the caller has locked the folder."""
     for name in (CONFIG_FILE, CHECKPOINT_FILE, VIEWS_FILE):
         remove_leftovers(folder / name)
     for path in folder.iterdir():
         if UNFINISHED.fullmatch(path.name) and path.is_file():
-            with suppress(OSError):  # it is in nobody's way
+            with suppress(OSError):  # harmless
                 path.unlink()
 
 
 def writable_folder(path: Path) -> Path:
-    """Make the folder and make sure that files can be made in it; raises ``OutputError``."""
+    """Make the folder and check that files can be created in it; raises ``OutputError``."""
     remedy = "Choose another --out, or make it writable."
     try:
         path.mkdir(parents=True, exist_ok=True)

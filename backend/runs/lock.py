@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One training a folder: whoever trains in a run's folder holds its lock, and says who it is.
+"""One training per folder: a process that trains in a run's folder holds its lock, and states who it is.
 
-The lock goes with the process however that ends (``bridge.lock``). Who holds it stands in a file beside it,
-because a locked file cannot be read on Windows.
+The lock is released when the process ends, however it ends (``bridge.lock``). Its holder is named in another
+file, because locked files cannot be read on Windows.
 """
 
 import json
@@ -19,7 +19,7 @@ from ...bridge.lock import Lock, LocksRefusedError
 
 LOCK_FILE = "training.lock"
 HOLDER_FILE = "training.json"
-#: A process that ends removes its lock's file; whoever opened it a moment before has to look again.
+#: A process that ends removes its lock file; one that has just opened that file must try again.
 WAIT_SECONDS = 0.5
 
 
@@ -29,10 +29,10 @@ class RunHeldError(PhysHDRError):
 
 @contextmanager
 def hold(folder: Path, report: Callable[[str], None]) -> Iterator[None]:
-    """While active, no other process trains in ``folder``, which must be there.
+    """While active, no other process trains in ``folder``, which must exist.
 
-    Where the disk knows no locks ``report`` is told so, and nothing keeps another training out. Raises
-    ``RunHeldError``, which names the holder, and ``OutputError`` where the lock's file cannot be made.
+    If the disk does not support locks, this is only reported, and nothing prevents another training. Raises
+    ``RunHeldError``, which names the holder, and ``OutputError`` if the lock file cannot be made.
     """
     lock = Lock(folder / LOCK_FILE, mode=0o600)  # who could read it could hold it
     try:
@@ -49,7 +49,7 @@ def hold(folder: Path, report: Callable[[str], None]) -> Iterator[None]:
             "Wait for its end, stop it (CTRL-C saves), or choose another --out.",
         )
     try:
-        with suppress(OutputError):  # a full disk: what it says is a courtesy
+        with suppress(OutputError):  # a full disk: naming the holder is optional
             _announce(folder)
         yield
     finally:
@@ -65,7 +65,7 @@ def _announce(folder: Path) -> None:
 
 
 def _holder(folder: Path) -> str:
-    """`` by process 7 on host, since …``; empty where it has not said so (yet)."""
+    """`` by process 7 on host, since …``; empty if not stated (yet)."""
     try:
         holder = json.loads((folder / HOLDER_FILE).read_text(encoding="utf-8"))
         return f" by process {holder['pid']} on {holder['host']}, since {holder['since']}"

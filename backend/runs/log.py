@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A training's events as they are kept in its folder: ``log.jsonl`` and TensorBoard's files."""
+"""Logs a training's events in its folder: ``log.jsonl`` and TensorBoard's files."""
 
 import dataclasses
 import errno
@@ -22,7 +22,7 @@ TENSORBOARD_FOLDER = "tensorboard"
 
 
 class EventLog:
-    """Keeps events in the run's folder as they come, and shows them (``terminal``). A context manager."""
+    """Logs events in the run's folder, and shows them (``terminal``). A context manager."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -30,7 +30,7 @@ class EventLog:
 
     @staticmethod
     def clear(folder: Path) -> None:
-        """Forget the logs of a run that is replaced."""
+        """Remove the logs of a replaced run."""
         (folder / LOG_FILE).unlink(missing_ok=True)
         shutil.rmtree(folder / TENSORBOARD_FOLDER, ignore_errors=True)
 
@@ -45,10 +45,10 @@ class EventLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Raises ``OutputError`` where the last events cannot be kept, unless an error is on its way."""
+        """Raises ``OutputError`` if the last events cannot be written, unless another error is raised."""
         self._bar.stop()
         failures: list[OutputError] = []
-        # On a full disk both try again to write what they hold; either must be closed all the same.
+        # On a full disk, closing tries to flush; the other must still be closed.
         for path, log in (
             (self.folder / TENSORBOARD_FOLDER, self._board),
             (self.folder / LOG_FILE, self._file),
@@ -65,7 +65,7 @@ class EventLog:
 
     @contextmanager
     def _writing(self, path: Path) -> Iterator[None]:
-        """What fails in here is told as an ``OutputError`` that names ``path``: not all libraries do."""
+        """Turn errors into ``OutputError`` naming ``path``, because not all libraries name it."""
         try:
             yield
         except OSError as error:
@@ -77,25 +77,25 @@ class EventLog:
             ) from error
 
     def _thread_failed(self, failed: threading.ExceptHookArgs) -> None:
-        """What TensorBoard's thread could not write, its next call raises: it is not shown twice."""
+        """Ignore errors of TensorBoard's thread, which its next call raises again."""
         if issubclass(failed.exc_type, OSError) and type(failed.thread).__module__.startswith("tensorboard."):
             return
         self._hook(failed)
 
     def show(self, event: events.Event) -> None:
-        """Take one event; raises ``OutputError`` where it cannot be kept."""
+        """Log and show one event; raises ``OutputError`` if it cannot be written."""
         record = {"event": type(event).__name__.lower(), "time": time.time(), **dataclasses.asdict(event)}
         with self._writing(self.folder / LOG_FILE):
             self._file.write(json.dumps(record) + "\n")
             self._file.flush()
         if isinstance(event, events.Progress):
             with self._writing(self.folder / TENSORBOARD_FOLDER):
-                self._keep_on_board(event)
+                self._write_to_board(event)
         self._bar.show(event)
 
-    def _keep_on_board(self, event: events.Progress) -> None:
+    def _write_to_board(self, event: events.Progress) -> None:
         if self._board is None:
-            # Only now: importing TensorBoard takes a second, in which the first iterations are already done.
+            # Imported late, because it takes a second, in which the first iterations are done.
             from torch.utils.tensorboard import SummaryWriter
 
             self._board = SummaryWriter(str(self.folder / TENSORBOARD_FOLDER))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
+"""Measures a fixed held-out view during training. Results are shown and logged, never learned from."""
 
 import math
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from .terminal import aside
 
 
 def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) -> Monitor | None:
-    """PSNR of a middle view at its middle exposure and, where the truth is there, the HDR scale.
+    """PSNR of a middle view at its middle exposure and, if the truth exists, the HDR scale.
 
-    It is a validation view where there are any, so that watching a training tells nothing of the test views,
-    else a test view. ``None`` where the data set has neither. Where it cannot be measured, be its picture
-    damaged, ``report`` is told so once, and nothing is measured from then on: training does not need it.
-    What is no number, as where all of the view is masked or black, is left out.
+    A validation view if there are any, so that watching a training reveals nothing about test views, else a
+    test view; ``None`` if the data set has neither. If measuring fails, for example because its picture is
+    damaged, this is reported once and measuring stops, because training does not need it. NaN, for example
+    for an entirely masked or black view, is omitted.
     """
     split = VALIDATION if scene.validation else TEST
     views = scene.splits[split]
@@ -32,7 +32,7 @@ def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) ->
     try:
         truth = hdr_truth(scene.root, split, view.index)
     except PhysHDRError:
-        truth = None  # shown only if it is there; evaluation says what is wrong with it
+        truth = None  # optional here; evaluation reports what is wrong with it
 
     def measure(method: Method) -> dict[str, float]:
         (pair,) = pairs(method, view, [k], rounded=False)
@@ -52,7 +52,7 @@ def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) ->
             return measure(method)
         except PhysHDRError as error:
             has_failed = True
-            report(f"training goes on, but view {view.name} is not measured any more: {error}")
+            report(f"no longer measuring view {view.name} during training: {error}")
             return {}
 
     return measure_while_possible

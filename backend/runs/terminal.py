@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What people see of a training while it runs: a bar on a terminal, a line now and then in a file."""
+"""Shows a running training: a bar on a terminal, occasional lines in a file."""
 
 import io
 import os
@@ -14,15 +14,15 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from ..train import events
 
-#: Where rich keeps stdout while a bar of its own stands in for it.
+#: The attribute in which rich stores stdout while a bar replaces it.
 PROXIED = "rich_proxied_file"
 
 
 class Terminal(Console):
-    """Shows text as it is: what a path has in brackets is no markup, and what it has between colons no emoji.
+    """Shows text unchanged: brackets in paths are not markup, and colons not emoji.
 
-    A sentence is one line, however long, so that what it names can be found and copied whole. Tables keep to
-    the terminal's width.
+    A sentence is one line, however long, so that names in it can be found and copied. Tables fit the
+    terminal's width.
     """
 
     def __init__(self, file: IO[str] | None = None) -> None:
@@ -34,35 +34,35 @@ class Terminal(Console):
         super().print(*objects, soft_wrap=soft_wrap, **options)
 
     def on_broken_pipe(self) -> None:
-        raise  # ``main`` ends every command in the same way; rich would exit with 1
+        raise  # handled in ``main``; rich would exit with 1
 
 
-class _WhileHeard:
-    """stdout as long as it takes what is written: after that nothing is shown, and nothing fails."""
+class _OptionalStdout:
+    """stdout while it can be written to; after that output is discarded without errors."""
 
     def __getattr__(self, name: str) -> Any:
-        if name == PROXIED:  # this file itself is what a console is to write to
+        if name == PROXIED:  # a console must write to this file itself
             raise AttributeError(name)
         return getattr(_stdout(), name)
 
     def write(self, text: str) -> int:
-        with _unheard():
+        with _discarding():
             _stdout().write(text)
         return len(text)
 
     def flush(self) -> None:
-        with _unheard():
+        with _discarding():
             _stdout().flush()
 
 
 def _stdout() -> IO[str]:
-    """stdout itself, also while a bar of rich's stands in for it."""
+    """stdout itself, also while a bar of rich replaces it."""
     return getattr(sys.stdout, PROXIED, sys.stdout)
 
 
 @contextmanager
-def _unheard() -> Iterator[None]:
-    """Where stdout's reader is gone or its disk is full, what waits there and what follows goes nowhere."""
+def _discarding() -> Iterator[None]:
+    """If stdout's reader is gone or its disk is full, discard pending and further output."""
     try:
         yield
     except OSError:
@@ -70,10 +70,10 @@ def _unheard() -> Iterator[None]:
             os.dup2(nowhere.fileno(), _stdout().fileno())
 
 
-#: Where every command says what it does; one whose output cannot be written fails.
+#: Output of all commands; a command whose output cannot be written fails.
 console = Terminal()
-#: Where it is said how far a training is, which goes on unheard: all of it is in the run's log as well.
-aside = Terminal(cast(IO[str], _WhileHeard()))
+#: A training's progress, which may be lost without failing the training: the run's log has all of it.
+aside = Terminal(cast(IO[str], _OptionalStdout()))
 
 #: Without a terminal a line is printed this often (seconds), so that logs stay short.
 SECONDS_BETWEEN_LINES = 10.0
@@ -103,7 +103,7 @@ class TrainingBar:
         self._bar.stop()
 
     def show(self, event: events.Event) -> None:
-        """One event, in words; those that say nothing to people are passed over."""
+        """Show one event; those without interest to people are ignored."""
         if isinstance(event, events.Started):
             self._bar.update(self._task, total=event.iterations, completed=event.iteration)
             gaussians = f"{event.gaussians} Gaussians; " if event.gaussians else ""

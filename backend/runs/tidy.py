@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a training of large pictures does between iterations, to hold no more memory than it needs."""
+"""Releases unused memory between iterations when training on large pictures."""
 
 from ..simd import give_back_freed_memory
 from ..train.state import State
 
-#: From so many pixels of a view on. Below, what lies unused in the heap is little.
+#: Pixels of a view from which this pays: below, little of the heap is unused.
 LARGE_PIXELS = 500_000
-#: Iterations between two times: as often as Gaussians grow. Taking the pages anew costs a hundredth of that.
+#: Iterations between releases: as often as Gaussians grow. Reallocating pages costs a hundredth of that.
 EVERY = 100
 
 
@@ -19,7 +19,7 @@ class Tidying:
         self._wanted = state.device.type == "cpu" and pixels >= LARGE_PIXELS
 
     def __call__(self) -> float:
-        """Returns for how long the training was held up by somebody else: never."""
+        """Returns the seconds of a pause: none."""
         if self._wanted and self._state.iteration % EVERY == 0:
             give_back_freed_memory()
         return 0.0

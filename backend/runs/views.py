@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run's data set without its pictures: ``views.json`` in the run's folder.
 
-Cameras, exposures, lights and the known point of the response are all that drawing and exporting need of a
-data set. With them a run can be looked at when the data set has moved or is gone; whoever asks for a picture
-is told that it is not there. What its pictures held (``contents``) tells whether those that are there are the
-same. A checkpoint names the file's digest, so that no other one takes its place.
+Rendering and exporting need only a data set's cameras, exposures, lights and the known point of the response.
+With these a run can be viewed when the data set has moved or is gone; reading a picture then raises an error.
+Fingerprints of the pictures (``contents``) show whether existing ones are the same. Checkpoints store the
+file's digest, so that it cannot be exchanged.
 """
 
 import hashlib
@@ -37,12 +37,12 @@ RESTORE = "Restore a copy of it, or train again with --overwrite."
 
 
 def write_views(folder: Path, scene: Scene) -> str:
-    """Keep what drawing needs of ``scene``, and what its pictures hold; raises ``OutputError``.
+    """Write what rendering needs of ``scene``, and its pictures' fingerprints; raises ``OutputError``.
 
-    The SHA-256 of the file, for the run's checkpoints.
+    Returns the SHA-256 of the file, for the run's checkpoints.
     """
     splits = {
-        name: [_told(*each, scene.root) for each in zip(views, contents_of(views), strict=True)]
+        name: [_described(*each, scene.root) for each in zip(views, contents_of(views), strict=True)]
         for name, views in scene.splits.items()
     }
     content: dict[str, Any] = {
@@ -64,16 +64,16 @@ def write_views(folder: Path, scene: Scene) -> str:
 
 
 def read_views(folder: Path, root: Path) -> Scene:
-    """The scene of the run in ``folder`` with no picture in reach, as if its data set still were at ``root``.
+    """The scene of the run in ``folder`` without pictures, as if its data set were at ``root``.
 
-    Raises ``FileMissingError`` where there is no such file, ``FileDamagedError``, and ``DataMismatchError``
-    for another version, and where it is not the file that the run's checkpoint was trained with.
+    Raises ``FileMissingError`` if there is no such file, ``FileDamagedError``, and ``DataMismatchError`` for
+    another version, or if it is not the file that the run's checkpoint was trained with.
     """
-    return _scene_of(_kept(folder), folder / VIEWS_FILE, root)
+    return _scene_of(_stored(folder), folder / VIEWS_FILE, root)
 
 
-def _kept(folder: Path) -> dict[str, Any]:
-    """What the file says, which belongs to the checkpoint beside it, if there is one.
+def _stored(folder: Path) -> dict[str, Any]:
+    """The file's content, checked against the run's checkpoint, if there is one.
 
     Raises as ``read_views``.
     """
@@ -81,13 +81,13 @@ def _kept(folder: Path) -> dict[str, Any]:
     metadata = read_metadata(folder / CHECKPOINT_FILE)
     if metadata and metadata[VIEWS] != hashlib.sha256(read_bytes(path, RESTORE)).hexdigest():
         raise DataMismatchError(
-            f"{path} is not the one that {folder / CHECKPOINT_FILE} was trained with: what was trained on "
-            "could pass for held out",
+            f"{path} is not the one that {folder / CHECKPOINT_FILE} was trained with: training views could "
+            "pass for held-out ones",
             RESTORE,
         )
     content = read_json_object(path, RESTORE)
     if content.get("format") != VIEWS_FORMAT:
-        raise FileDamagedError(f"{path} is none of ours", RESTORE)
+        raise FileDamagedError(f"{path} is not a {VIEWS_FORMAT} file", RESTORE)
     if content.get("version") != VIEWS_VERSION:
         raise DataMismatchError(
             f"{path} has version {content.get('version')!s:.20}, this program reads {VIEWS_VERSION}",
@@ -103,14 +103,14 @@ def _scene_of(content: Mapping[str, Any], path: Path, root: Path) -> Scene:
     try:
         lights = check_lights(content["lights"], str(path))
         for name, views in content["splits"].items():
-            splits[name] = [_view(told, root, len(lights), cache) for told in views]
+            splits[name] = [_view(view, root, len(lights), cache) for view in views]
         anchor = content["anchor"]
         if anchor is not None:
             exposure, code = anchor
             anchor = (_number(exposure), _number(code))
             _require(anchor[0] > 0.0)
         _require(bool(splits["train"]))
-        _kept_scale(content)
+        _stored_scale(content)
         _require(isinstance(content["photographs"], bool))
         return Scene(
             root,
@@ -121,7 +121,7 @@ def _scene_of(content: Mapping[str, Any], path: Path, root: Path) -> Scene:
             response_anchor=anchor,
             lights=lights,
             layout=str(content["layout"]),
-            messages=("the data set is not there: the run knows its cameras",),
+            messages=("the data set is missing: using the cameras stored in the run",),
             validation=splits.get("val", []),
             known_photographs=content["photographs"],
         )
@@ -141,71 +141,70 @@ def as_trained(
     report: Callable[[str], object] = lambda line: None,
     pictures: bool = True,
 ) -> Scene:
-    """``scene``, which was read for the run in ``folder``, divided into training and test views as the run's.
+    """``scene``, read for the run in ``folder``, split into training and test views as in the run.
 
-    A split may have been found, not given, and comes out otherwise where photographs were added or the rule
-    is another version's: what was trained on would be tested. So the run's own split stands, its views known
-    by name, and it is told to ``report``. Where training views are the same, test views are those that the
-    data set has now. Raises ``DataMismatchError`` where a view that was trained on is not there as it was,
-    and where the known point of the response is another. Radiance is compared at the scale that it was
-    trained at, whatever pictures were added since.
-    ``pictures``: whether what those hold is compared, too. Others in the place of those trained on raise
-    ``DataMismatchError``; where they are held out, that is reported.
+    A split may be inferred, and change if photographs are added or the rule changes, so that training views
+    would be tested. Therefore the run's own split, by names of views, takes precedence, which is reported.
+    If the training views are the same, the data set's present test views are used. Raises
+    ``DataMismatchError`` if a training view is missing or has changed, or the known point of the response
+    differs. Radiance is compared at the scale used in training, even if pictures were added since.
+    ``pictures``: also compare fingerprints. Changed training pictures raise ``DataMismatchError``; changed
+    held-out ones are reported.
     """
-    content = _kept(folder)
-    kept = _scene_of(content, folder / VIEWS_FILE, scene.root)
-    _require_same_anchor(kept.response_anchor, scene.response_anchor, folder, scene.root)
-    scene = _at_scale(scene, _kept_scale(content), report)
-    if not (_are_same(kept.train, scene.train) and _are_same(kept.lit, scene.lit)):
-        scene = _divided(scene, kept, folder, report)
-    return _with_known_pictures(scene, kept, content, folder, report) if pictures else scene
+    content = _stored(folder)
+    stored = _scene_of(content, folder / VIEWS_FILE, scene.root)
+    _require_same_anchor(stored.response_anchor, scene.response_anchor, folder, scene.root)
+    scene = _at_scale(scene, _stored_scale(content), report)
+    if not (_are_same(stored.train, scene.train) and _are_same(stored.lit, scene.lit)):
+        scene = _divided(scene, stored, folder, report)
+    return _with_known_pictures(scene, stored, content, folder, report) if pictures else scene
 
 
-def _divided(scene: Scene, kept: Scene, folder: Path, report: Callable[[str], object]) -> Scene:
-    """``scene`` in the splits of ``kept``; raises ``DataMismatchError``."""
-    there: dict[str, list[View]] = {}
+def _divided(scene: Scene, stored: Scene, folder: Path, report: Callable[[str], object]) -> Scene:
+    """``scene`` in the splits of ``stored``; raises ``DataMismatchError``."""
+    by_name: dict[str, list[View]] = {}
     for view in itertools.chain.from_iterable(scene.splits.values()):
-        there.setdefault(view.name, []).append(view)
-    for before in (*kept.train, *kept.lit):
-        _require_there(before, there.get(before.name, []), folder, scene.root)
-    known = {view.name for view in (*kept.train, *kept.lit)}
-    splits = {name: _found(views, there) for name, views in kept.splits.items()}
+        by_name.setdefault(view.name, []).append(view)
+    for before in (*stored.train, *stored.lit):
+        _require_unchanged(before, by_name.get(before.name, []), folder, scene.root)
+    known = {view.name for view in (*stored.train, *stored.lit)}
+    splits = {name: _unchanged(views, by_name) for name, views in stored.splits.items()}
     for name in HELD_OUT:
-        if not kept.splits[name]:  # there were none yet, or they were kept from a plan that tunes
+        if not stored.splits[name]:  # there were none yet, or they were hidden from a tuning plan
             splits[name] = [view for view in scene.splits[name] if view.name not in known]
     known.update(view.name for views in splits.values() for view in views)
-    told = f"training and test views are those of the run: {scene.root} divides them otherwise now"
-    if unknown := len(there.keys() - known):
-        told += f", and has {unknown} more, which are left out"
-    report(told)
-    return _with_splits(scene, splits, told)
+    message = f"using the run's training and test views: {scene.root} now divides them differently"
+    if unknown := len(by_name.keys() - known):
+        message += f", and has {unknown} more, which are ignored"
+    report(message)
+    return _with_splits(scene, splits, message)
 
 
 def _with_known_pictures(
-    scene: Scene, kept: Scene, content: Mapping[str, Any], folder: Path, report: Callable[[str], object]
+    scene: Scene, stored: Scene, content: Mapping[str, Any], folder: Path, report: Callable[[str], object]
 ) -> Scene:
-    """``scene``, whose views are in the order of ``kept``'s, and in its messages which pictures are others.
+    """``scene``, its views in the order of ``stored``'s, with messages on changed held-out pictures.
 
-    Raises ``DataMismatchError`` where one of those was trained on.
+    Raises ``DataMismatchError`` for a changed training picture.
     """
     for name in (TRAIN, LIT):
         if difference := first_difference(scene.splits[name], _contents(content, name)):
             raise _other_data(folder, scene.root, difference)
     for name in HELD_OUT:
         before = {
-            view.name: each for view, each in zip(kept.splits[name], _contents(content, name), strict=True)
+            view.name: each for view, each in zip(stored.splits[name], _contents(content, name), strict=True)
         }
         views = [view for view in scene.splits[name] if len(before.get(view.name, ())) == len(view.sources)]
         if difference := first_difference(views, [before[view.name] for view in views]):
-            told = f"held-out pictures are not those that the run was begun with: {difference}"
-            report(told)
-            scene = replace(scene, messages=(*scene.messages, told))
+            message = f"held-out pictures have changed since the run was started: {difference}"
+            report(message)
+            scene = replace(scene, messages=(*scene.messages, message))
     return scene
 
 
 def has_its_pictures(folder: Path, scene: Scene) -> bool:
-    """Whether the training pictures of ``scene``, divided as the run in ``folder``, are those of the run."""
-    content = _kept(folder)
+    """Whether the training pictures of ``scene``, split as the run in ``folder``, are those of the run."""
+    content = _stored(folder)
     return not any(first_difference(scene.splits[name], _contents(content, name)) for name in (TRAIN, LIT))
 
 
@@ -214,20 +213,20 @@ def _contents(content: Mapping[str, Any], split: str) -> list[list[Contents]]:
 
 
 def _radiance_scale(scene: Scene) -> float | None:
-    """The scale of the pictures of radiance, one for a whole data set; None where there are none."""
+    """The scale of pictures of radiance, one for a whole data set; None without any."""
     views = itertools.chain.from_iterable(scene.splits.values())
     encodings = (encoding for view in views for encoding in view.encodings)
     return next((each.scale for each in encodings if isinstance(each, LogEncoding)), None)
 
 
-def _kept_scale(content: Mapping[str, Any]) -> float | None:
+def _stored_scale(content: Mapping[str, Any]) -> float | None:
     """``_radiance_scale`` in a run's file. Raises as ``_view``."""
-    kept = content.get("radiance_scale")
-    return None if kept is None else LogEncoding(_number(kept)).scale
+    stored = content.get("radiance_scale")
+    return None if stored is None else LogEncoding(_number(stored)).scale
 
 
 def _at_scale(scene: Scene, scale: float | None, report: Callable[[str], object]) -> Scene:
-    """``scene`` with its pictures of radiance at the run's ``scale``; None: as they are."""
+    """``scene`` with its pictures of radiance at the run's ``scale``; None: unchanged."""
     now = _radiance_scale(scene)
     if scale is None or now is None or now == scale:
         return scene
@@ -240,31 +239,31 @@ def _at_scale(scene: Scene, scale: float | None, report: Callable[[str], object]
         name: [replace(view, sources=tuple(map(scaled, view.sources))) for view in views]
         for name, views in scene.splits.items()
     }
-    told = f"radiance is compared at the run's scale, {scale:g}: that of {scene.root} is {now:g} now"
-    report(told)
-    return _with_splits(scene, splits, told)
+    message = f"comparing radiance at the run's scale, {scale:g}: that of {scene.root} is now {now:g}"
+    report(message)
+    return _with_splits(scene, splits, message)
 
 
-def _with_splits(scene: Scene, splits: Mapping[str, list[View]], told: str) -> Scene:
-    """``scene`` of these views, and in its messages what is ``told`` of it."""
+def _with_splits(scene: Scene, splits: Mapping[str, list[View]], message: str) -> Scene:
+    """``scene`` with these views and a further ``message``."""
     return replace(
         scene,
         train=splits[TRAIN],
         test=splits[TEST],
         lit=splits[LIT],
         validation=splits[VALIDATION],
-        messages=(*scene.messages, told),
+        messages=(*scene.messages, message),
     )
 
 
 def _require_same_anchor(
     before: tuple[float, float] | None, now: tuple[float, float] | None, folder: Path, root: Path
 ) -> None:
-    """Raises ``DataMismatchError`` where they are not the same: learned curves are shifted to pass it."""
+    """Raises ``DataMismatchError`` if they differ, because learned curves are shifted to pass the point."""
     if before == now or (before is not None and now is not None and np.allclose(before, now)):
         return
     one, other = ("none" if each is None else f"{each[1]:g} at {each[0]:g}" for each in (before, now))
-    raise _other_data(folder, root, f"the known point of the response was {one}, and is {other}")
+    raise _other_data(folder, root, f"the known point of the response was {one}, and is now {other}")
 
 
 def _are_same(before: Sequence[View], now: Sequence[View]) -> bool:
@@ -274,51 +273,51 @@ def _are_same(before: Sequence[View], now: Sequence[View]) -> bool:
     )
 
 
-def _found(kept: Sequence[View], there: Mapping[str, list[View]]) -> list[View]:
-    """Those of ``kept`` that are as they were, with their pictures, at the places that the run counts by."""
+def _unchanged(stored: Sequence[View], by_name: Mapping[str, list[View]]) -> list[View]:
+    """The unchanged ones of ``stored``, with their pictures, and the run's own places in the bracket."""
     found = []
-    for before in kept:
-        same = (now for now in there.get(before.name, ()) if not _difference(before, now))
+    for before in stored:
+        same = (now for now in by_name.get(before.name, ()) if not _difference(before, now))
         if (now := next(same, None)) is not None:
             found.append(replace(now, bracket=before.bracket))
     return found
 
 
-def _require_there(before: View, now: Sequence[View], folder: Path, root: Path) -> None:
-    """Raises ``DataMismatchError`` where none of the views ``now`` is the one that was trained on."""
+def _require_unchanged(before: View, now: Sequence[View], folder: Path, root: Path) -> None:
+    """Raises ``DataMismatchError`` if none of the views ``now`` is the one that was trained on."""
     different = [_difference(before, view) for view in now]
     if "" not in different:
-        found = different[0] if different else "it has nothing"
-        raise _other_data(folder, root, f"of view {before.name} {found}")
+        found = different[0] if different else "it is missing"
+        raise _other_data(folder, root, f"view {before.name}: {found}")
 
 
 def _other_data(folder: Path, root: Path, difference: str) -> DataMismatchError:
     return DataMismatchError(
         f"{root} is not the data set that {folder} was trained on: {difference}",
-        "Name the one that it was trained on, as it was then, or train again. Without pictures the run "
-        "can be looked at all the same.",
+        "Give the original data set, unchanged, or train again. The run can still be viewed without "
+        "pictures.",
     )
 
 
 def _difference(before: View, now: View) -> str:
-    """What is not the same, in words; empty where a training would see no difference but in pictures."""
+    """A description of the first difference that matters in training, apart from pictures; empty if none."""
     one, other = before.camera, now.camera
     if not np.allclose(one.camera_to_world, other.camera_to_world, atol=1e-5):
-        return "the camera stands elsewhere"
+        return "the camera's pose has changed"
     if (one.width, one.height) != (other.width, other.height):
-        return f"the pictures were {one.width}×{one.height}, and are {other.width}×{other.height}"
+        return f"the pictures were {one.width}×{one.height}, and are now {other.width}×{other.height}"
     lenses = [(camera.fx, camera.fy, camera.cx, camera.cy) for camera in (one, other)]
     if not np.allclose(*lenses, rtol=1e-5, atol=1e-3):
-        return "the camera's focal length or principal point is another"
+        return "the camera's focal length or principal point has changed"
     if len(before.exposures) != len(now.exposures) or not np.allclose(before.exposures, now.exposures):
-        return "the exposures are others"
-    # Another light of which these views have the standard level makes none of them another.
+        return "the exposures have changed"
+    # A further light at the standard level does not change views.
     if not (before.is_standard and now.is_standard) and before.lighting_levels != now.lighting_levels:
-        return "the light is another"
+        return "the light has changed"
     return ""
 
 
-def _told(view: View, contents: list[Contents], root: Path) -> dict[str, Any]:
+def _described(view: View, contents: list[Contents], root: Path) -> dict[str, Any]:
     camera = view.camera
     return {
         "name": view.name,
@@ -335,7 +334,7 @@ def _told(view: View, contents: list[Contents], root: Path) -> dict[str, Any]:
 
 
 def _name(path: Path, root: Path) -> str:
-    """A picture's path within the data set; empty where it lies elsewhere, or is no text."""
+    """A picture's path within the data set; empty if it is elsewhere, or not text."""
     with suppress(ValueError):
         name = os.path.relpath(path, root) if not path.is_relative_to(root) else str(path.relative_to(root))
         name.encode("utf-8")
@@ -343,28 +342,28 @@ def _name(path: Path, root: Path) -> str:
     return ""
 
 
-def _view(told: dict[str, Any], root: Path, lights: int, cache: PictureCache) -> View:
-    """Raises ``KeyError``, ``TypeError``, ``ValueError`` and ``BadValueError`` for what is no view."""
-    exposures = tuple(_number(seconds) for seconds in told["exposures"])
-    levels = tuple(_number(level) for level in told["levels"])
+def _view(stored: dict[str, Any], root: Path, lights: int, cache: PictureCache) -> View:
+    """Raises ``KeyError``, ``TypeError``, ``ValueError`` and ``BadValueError`` for an invalid view."""
+    exposures = tuple(_number(seconds) for seconds in stored["exposures"])
+    levels = tuple(_number(level) for level in stored["levels"])
     _require(all(seconds in EXPOSURE for seconds in exposures))
     _require(len(levels) == lights and all(level == 0.0 or level in LEVEL for level in levels))
-    pose = np.array([_number(value) for value in told["pose"]], np.float64).reshape(4, 4)
-    width, height = (_whole(side) for side in told["size"])
+    pose = np.array([_number(value) for value in stored["pose"]], np.float64).reshape(4, 4)
+    width, height = (_whole(side) for side in stored["size"])
     _require(width > 0 and height > 0)
-    fx, fy, cx, cy = (_number(value) for value in told["intrinsics"])
-    contents = told["contents"]
+    fx, fy, cx, cy = (_number(value) for value in stored["intrinsics"])
+    contents = stored["contents"]
     _require(isinstance(contents, list) and len(contents) == len(exposures))
     _require(all(isinstance(each, dict) for each in contents))
     return View(
-        name=str(told["name"]),
+        name=str(stored["name"]),
         camera=Camera(pose, width, height, fx, fy, cx, cy),
         exposures=exposures,
-        sources=plain(root / str(name) for name in told["pictures"]),
-        index=_whole(told["index"]),
+        sources=plain(root / str(name) for name in stored["pictures"]),
+        index=_whole(stored["index"]),
         lighting_levels=levels,
         cache=cache,
-        bracket=tuple(_whole(place) for place in told["bracket"]),
+        bracket=tuple(_whole(place) for place in stored["bracket"]),
     )
 
 
@@ -380,4 +379,4 @@ def _whole(value: Any) -> int:
 
 def _require(is_right: bool) -> None:
     if not is_right:
-        raise ValueError("a value is none that a view can have")
+        raise ValueError("a value is invalid")

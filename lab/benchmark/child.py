@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``python -m physhdr.lab.benchmark.child THREADS USAGE COMMAND…``: the command ``physhdr``, watched.
+"""``python -m physhdr.lab.benchmark.child THREADS USAGE COMMAND…``: runs the command ``physhdr``, measured.
 
-Computes with THREADS threads, ends when the benchmark that started it dies, and leaves in the file USAGE what
-the process needed at most.
+Computes with THREADS threads, ends when the benchmark that started it dies, and writes the process's peak
+memory into the file USAGE.
 """
 
 import json
@@ -45,7 +45,7 @@ def _usage() -> dict[str, Any]:
 
 
 def _device() -> dict[str, str]:
-    """``device``: what was computed on."""
+    """``device``: where it was computed."""
     import torch
 
     on_card = torch.cuda.is_available() and torch.cuda.is_initialized()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures that another program made for a run of the plan: which they are, and what they cost."""
+"""Pictures that another program made for a run of the plan: their digest and cost."""
 
 import hashlib
 import os
@@ -16,8 +16,7 @@ from ...bridge.regular import read_json_object
 from .plan import TUNE
 
 COST_FILE = "cost.json"
-#: What it may say, and which field of a ``Record`` that is: CPU seconds and seconds on the clock of the
-#: training, the memory it took at most.
+#: Its fields and those of a ``Record``: CPU seconds and wall-clock seconds of the training, peak memory.
 FIELDS: dict[str, tuple[str, Callable[[float], float]]] = {
     "cpu_seconds": ("cpu_seconds", float),
     "seconds": ("seconds", float),
@@ -29,11 +28,11 @@ REMEDY = "Each is a number, 0 or more, and any may be missing (lab/compare.md)."
 
 
 def read_cost(folder: Path) -> dict[str, Any]:
-    """The fields of a ``Record`` that ``cost.json`` in a folder of pictures tells; {} where there is none.
+    """The fields of a ``Record`` in the ``cost.json`` of a folder of pictures; {} if there is none.
 
-    Raises ``FileDamagedError``, and ``BadValueError`` for a name or a value that means nothing.
+    Raises ``FileDamagedError``, and ``BadValueError`` for an unknown name or invalid value.
     """
-    path, told = folder / COST_FILE, {}
+    path, fields = folder / COST_FILE, {}
     content = read_json_object(path, REMEDY) if path.exists() else {}
     for name, value in content.items():
         if name not in FIELDS:
@@ -42,15 +41,15 @@ def read_cost(folder: Path) -> dict[str, Any]:
             continue
         if not is_number(value) or value < 0.0:
             raise BadValueError(f"{path}: {name} is {value!r:.80}", REMEDY)
-        field, meant = FIELDS[name]
-        told[field] = meant(value)
-    return told
+        field, convert = FIELDS[name]
+        fields[field] = convert(value)
+    return fields
 
 
 def pictures_digest(folder: Path, kind: str) -> str:
-    """SHA-256 of every picture in the folder, its name, and of ``cost.json``; not of what evaluation wrote.
+    """SHA-256 of every picture in the folder, its name, and ``cost.json``, without an evaluation's files.
 
-    Of a plan that tunes of the validation views' alone: nothing else is opened.
+    For a tuning plan only of the validation views: nothing else is opened.
     """
     tops = [folder]
     if kind == TUNE:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a reader of the report must know of the data sets and machines; kept in the benchmark's folder."""
+"""Facts about data sets and machines for the report; stored in the benchmark's folder."""
 
 import dataclasses
 import json
@@ -19,20 +19,20 @@ FACTS_FOLDER = "facts"
 def scene_facts(
     out: Path, name: str, folder: Path, data: str, downscale: float | None, color_space: str | None
 ) -> dict[str, Any]:
-    """What ``physhdr inspect`` finds in the data set in ``folder``, which the plan calls ``name``.
+    """The result of ``physhdr inspect`` for the data set in ``folder``, named ``name`` in the plan.
 
-    ``downscale``, ``color_space``: as the plan has it read. The truth's noise is that of whole pictures, and
-    left out of smaller ones. Looked at once for each ``data`` fingerprint and way of reading.
+    ``downscale``, ``color_space``: as in the plan. The truth's noise is that of full-size pictures, and
+    omitted for reduced ones. Inspected once for each ``data`` fingerprint and way of reading.
     """
     path = out / FACTS_FOLDER / f"{name}.json"
     wanted = {field.name for field in dataclasses.fields(Inspection)}
     read = {"data": data, "downscale": downscale, "color_space": color_space}
     try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        if read.items() <= kept.items() and kept["facts"].keys() == wanted:
-            return kept["facts"]
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if read.items() <= stored.items() and stored["facts"].keys() == wanted:
+            return stored["facts"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        pass  # not looked at yet, or not readable: look again
+        pass  # not inspected yet, or unreadable
     facts = dataclasses.asdict(inspect(folder, downscale, color_space))
     if downscale not in (None, 1.0):
         facts |= {"noise_floor": None, "reference_floor": None}
@@ -42,7 +42,7 @@ def scene_facts(
 
 
 def scene_line(name: str, facts: dict[str, Any]) -> str:
-    """``demo (interior): 200×200, 18 train, 17 test; …``, of the data set that the plan calls ``name``."""
+    """``demo (interior): 200×200, 18 train, 17 test; …``, for the data set named ``name`` in the plan."""
     parts = []
     if facts.get("resolution"):
         parts.append("×".join(str(side) for side in facts["resolution"]))
@@ -70,7 +70,7 @@ def scene_line(name: str, facts: dict[str, Any]) -> str:
 
 
 def machine_lines(records: Iterable[Record]) -> list[str]:
-    """Every kind of machine and every set of versions that runs were done with; [] for none."""
+    """All kinds of machines and sets of versions used for runs; [] for none."""
     kinds: dict[str, int] = {}
     versions: dict[str, int] = {}
     for record in records:
@@ -86,12 +86,12 @@ def machine_lines(records: Iterable[Record]) -> list[str]:
         version = ", ".join(f"{name} {value}" for name, value in machine.get("versions", {}).items())
         versions[version] = versions.get(version, 0) + 1
 
-    def told(what: str, counts: dict[str, int]) -> list[str]:
+    def lines_of(what: str, counts: dict[str, int]) -> list[str]:
         if len(counts) == 1:
             return [f"{what}: {next(iter(counts))}"]
         return [f"{what} ({count} runs): {text}" for text, count in counts.items()]
 
-    lines = told("machine", kinds) + told("versions", versions)
+    lines = lines_of("machine", kinds) + lines_of("versions", versions)
     if len(kinds) > 1:
         lines.append("**the runs are not of one machine with one number of threads: compare no seconds**")
     if len(versions) > 1:

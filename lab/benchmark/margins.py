@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""By how much one method is ahead of another: differences of runs on the same scene with the same seed.
+"""Margins between methods: differences of runs on the same scene with the same seed.
 
-Scenes are what a claim is generalised over, seeds are what one run happens to be. So the differences of a
-scene are averaged over its seeds first, and the interval is Student's over the scenes: it holds both kinds of
-spread. Scenes that are of one room, through several cameras, tell little more of the next room than one of
-them: they are averaged, too, and the interval is over the rooms.
+Claims generalise over scenes, while seeds are chance. So a scene's differences are first averaged over its
+seeds, and the interval is Student's over the scenes, which includes both kinds of spread. Several scenes of
+one room say little more about other rooms than one of them: they are averaged, too, and the interval is over
+the rooms.
 """
 
 import math
@@ -17,9 +17,9 @@ from scipy.special import stdtrit
 
 from ...backend.evaluate.comparison import Column, ComparedRun, column
 
-#: What a method is judged by.
+#: Metrics that methods are compared by.
 JUDGED = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips", "relit.psnr")
-#: Of the intervals: the probability with which one holds the mean difference.
+#: The probability that an interval contains the mean difference.
 CONFIDENCE = 0.95
 
 Standing = Literal["ahead", "behind", "not told apart", "one run"]
@@ -29,10 +29,10 @@ Standing = Literal["ahead", "behind", "not told apart", "one run"]
 class Margin:
     """Paired differences, one for each (scene, seed) that both methods have.
 
-    ``mean``: over rooms of the mean over their scenes of the mean over seeds. ``interval``: of that mean, by
-    the rooms where there are two, else by the scenes of the one, else by the seeds of the one; None of one
-    pair. ``spread``: the standard deviation over the seeds of a scene, pooled over the scenes (that scenes
-    differ is no noise); None where no scene has two seeds.
+    ``mean``: over rooms, of means over scenes, of means over seeds. ``interval``: of that mean, over the
+    rooms if there are two, else over the only room's scenes, else over its seeds; None for one pair.
+    ``spread``: the standard deviation over the seeds of a scene, pooled over the scenes (differences between
+    scenes are not noise); None if no scene has two seeds.
     """
 
     mean: float
@@ -45,7 +45,7 @@ class Margin:
 
     @property
     def standing(self) -> Standing:
-        """What the interval says: *ahead* where all of it is on the better side of 0."""
+        """*ahead* if all of the interval is on the better side of 0."""
         if self.interval is None:
             return "one run"
         low, high = (-self.interval[1], -self.interval[0]) if self.lower_is_better else self.interval
@@ -53,7 +53,7 @@ class Margin:
 
 
 def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) -> Margin | None:
-    """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None where no run can be paired."""
+    """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None if no run can be paired."""
     each = column(key)
     ours, theirs = _by_run(entries, method, each), _by_run(entries, other, each)
     of_scene: dict[str, list[float]] = {}
@@ -80,7 +80,7 @@ def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) ->
 
 
 def _interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Student's, of the mean of ``values``; None of a single one."""
+    """Student's interval of the mean of ``values``; None for a single one."""
     if len(values) < 2:
         return None
     quantile = float(stdtrit(len(values) - 1, 0.5 + 0.5 * CONFIDENCE))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What data sets are of: what each built-in scene may be used for, and that a plan keeps to it
-(lab/plans/README.md); and which data sets show one room.
+"""The role of each built-in scene, and the check that plans respect it (lab/plans/README.md); and which data
+sets show the same room.
 """
 
 from pathlib import Path
@@ -37,12 +37,12 @@ WHAT_REPORTED = {
 
 
 def role_of(data: Path) -> str:
-    """The role of the built-in scene that a data set is of; "" for any other.
+    """The role of a data set's built-in scene; "" for any other.
 
-    Known by its ``dataset.json``, or what stands for it until the data set is whole, whatever the folder is
-    called; one of a user's own scene has a ``source`` there. Raises what reading that raises.
+    Recognised by its ``dataset.json``, or its substitute while the data set is unfinished, whatever the
+    folder's name; a user's own scene has a ``source`` there. Raises what reading that raises.
     """
-    info = _told(data)
+    info = _info(data)
     maker = info.get("generator")
     if not isinstance(maker, dict) or maker.get("name") != data_set.MAKER or info.get("source"):
         return ""
@@ -50,13 +50,13 @@ def role_of(data: Path) -> str:
 
 
 def room_of(data: Path) -> str:
-    """What a data set shows, in words that are equal for data sets of one room alone.
+    """An id of a data set's room, equal only for data sets of the same room.
 
-    A built-in scene is known by its name. A user's own, of which folders and files are often called alike
-    (``scene.blend``), by its file's name, its scene's and all its objects' together. Any other data set is a
-    room by itself, known by where it lies. Raises what reading ``dataset.json`` raises.
+    A built-in scene is identified by its name. A user's own, whose folders and files often have equal names
+    (``scene.blend``), by the names of its file, scene and all objects together. Any other data set is its own
+    room, identified by its path. Raises what reading ``dataset.json`` raises.
     """
-    info = _told(data)
+    info = _info(data)
     if role_of(data):
         return f"built-in: {info['scene']}"
     match info:
@@ -65,20 +65,20 @@ def room_of(data: Path) -> str:
     return str(resolved(data))
 
 
-def _told(data: Path) -> dict[str, Any]:
-    """``dataset.json``; of a data set that is being made its ``scene`` and ``source``, as they will be."""
+def _info(data: Path) -> dict[str, Any]:
+    """``dataset.json``; for an unfinished data set, its future ``scene`` and ``source``."""
     remedy = "Make the data set again."
     info = data_set.read_info(data, remedy)
     if info or not data_set.is_unfinished(data):
         return info
-    told = read_json_object(data / data_set.PARTIAL_FILE, remedy)
-    options = told.get("options")
+    partial = read_json_object(data / data_set.PARTIAL_FILE, remedy)
+    options = partial.get("options")
     options = options if isinstance(options, dict) else {}
-    return told | {"scene": options.get("scene"), "source": options.get("from_file")}
+    return partial | {"scene": options.get("scene"), "source": options.get("from_file")}
 
 
 def require_allowed(plan: Plan) -> None:
-    """Raises ``BadValueError`` where a scene may not be used by a plan of this kind."""
+    """Raises ``BadValueError`` if a plan of this kind may not use a scene."""
     for scene in plan.scenes:
         role = role_of(scene.data)
         if plan.kind == TUNE:
@@ -86,7 +86,7 @@ def require_allowed(plan: Plan) -> None:
         elif role == SEALED and not plan.open_sealed:
             raise BadValueError(
                 f"the scene '{scene.name}' is sealed: it is opened once, when all choices are made",
-                "Leave it out; or, if this is that time, write open_sealed = true into the plan.",
+                "Leave it out; or, at that time, write open_sealed = true into the plan.",
             )
 
 
@@ -94,7 +94,7 @@ def _require_tuning(scene: SceneFolder, role: str) -> None:
     if role in (HELD_OUT, SEALED):
         may = ", ".join(name for name, of in ROLES.items() if of == TUNING)
         raise BadValueError(
-            f"the scene '{scene.name}' is {role}: no choice is made on it, whichever its views",
+            f"the scene '{scene.name}' is {role}: no choices are made on any of its views",
             f'Tune on {may}, or on scenes of your own; a plan with kind = "report" measures it.',
         )
     own = data_set.is_layout(scene.data)
@@ -108,10 +108,10 @@ def _require_tuning(scene: SceneFolder, role: str) -> None:
 
 
 def role_lines(plan: Plan) -> list[str]:
-    """What the report's conditions say of the scenes' roles; [] where none has one."""
+    """Lines on the scenes' roles for the report; [] if none has one."""
     names: dict[str, list[str]] = {}
     for scene in plan.scenes:
         if role := role_of(scene.data):
             names.setdefault(role, []).append(scene.name)
-    said = {TUNING: "this is what they are for"} if plan.kind == TUNE else WHAT_REPORTED
-    return [f"{role} scenes ({', '.join(of)}): {said[role]}" for role, of in names.items()]
+    meaning = {TUNING: "this is what they are for"} if plan.kind == TUNE else WHAT_REPORTED
+    return [f"{role} scenes ({', '.join(of)}): {meaning[role]}" for role, of in names.items()]

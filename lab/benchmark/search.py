@@ -1,26 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The iterations of a method for a budget of CPU seconds: from what runs cost, not from how good they are.
+"""Finds a method's iterations for a budget of CPU seconds, from the cost of runs, not their quality.
 
-Schedules scale with ``--iterations`` (densification stops at half of them), so a run that is cut short would
-be another method, and cost is nearly but not exactly linear in their number. So whole runs are measured.
+Schedules scale with ``--iterations`` (densification stops at half of them), so a truncated run would be a
+different method, and cost is nearly but not exactly linear in iterations. Therefore whole runs are measured.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-#: Without a completed run a pilot of this many iterations is trained first; it counts for nothing else.
+#: Without a completed run, a pilot of this many iterations is trained first and used for nothing else.
 PILOT_ITERATIONS = 20
-#: What costs less than the first share of the budget says little of it (a pilot is all start, and has not
-#: grown): the training after it is a scout, which is to cost the second share: little beside one that misses.
+#: A run that costs less than the first share of the budget predicts little (a pilot is mostly start-up, and
+#: has not grown): the next training is a scout, which should cost the second share, less than a miss would.
 FAR, SCOUT = 1 / 20, 1 / 10
 #: A run that misses the budget by more is corrected.
 TOLERANCE = 0.05
-#: The first correction is a secant through what is known; a second one is for what a scout could not tell.
+#: The first correction is a secant through the known costs; a second one follows an imprecise scout.
 CORRECTIONS = 2
-#: What another iteration costs is that of the secant, but within these multiples of what one cost on average:
-#: the start costs alike for all lengths, densification makes later iterations dearer, and two measurements
-#: that are near each other differ by noise.
+#: Bounds of the secant's cost per iteration, as multiples of the average cost: start-up costs the same for
+#: all lengths, densification makes later iterations more expensive, and close measurements differ by noise.
 SLOPES = (0.75, 1.6)
 
 TOO_SLOW = "so slow that {iterations} iterations are all that fit"
@@ -28,17 +27,17 @@ TOO_SLOW = "so slow that {iterations} iterations are all that fit"
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a whole training cost: user and system time of its loop."""
+    """The cost of a whole training: user and system time of its loop."""
 
     iterations: int
     cpu_seconds: float
 
 
 def next_trial(seconds: float, known: Measurement | None, tried: Sequence[Measurement]) -> int | None:
-    """The iterations to train next for a budget of ``seconds``; None if one that was tried shall stand.
+    """The iterations to train next for a budget of ``seconds``; None if a previous trial is good enough.
 
-    ``known``: a run of the same method on the same scene, of any length; None asks for a pilot (it is what
-    the next call gets as ``known``).
+    ``known``: a run of the same method on the same scene, of any length; None requests a pilot (then passed
+    as ``known``).
     """
     if known is None:
         return PILOT_ITERATIONS
@@ -54,12 +53,12 @@ def next_trial(seconds: float, known: Measurement | None, tried: Sequence[Measur
 
 
 def nearest(seconds: float, tried: Sequence[Measurement]) -> Measurement:
-    """The one that shall stand: nearest to the budget, by ratio."""
+    """The trial nearest to the budget, by ratio."""
     return min(tried, key=lambda each: abs(math.log(max(each.cpu_seconds, 1e-9) / seconds)))
 
 
 def _step(seconds: float, last: Measurement, before: Measurement | None) -> int:
-    """As many as fit, at least one, if each more or less costs what it did from ``before`` to ``last``."""
+    """As many as fit, at least one, at the cost per iteration between ``before`` and ``last``."""
     average = max(last.cpu_seconds, 1e-9) / last.iterations
     slope = average
     if before and before.iterations != last.iterations:
@@ -69,5 +68,5 @@ def _step(seconds: float, last: Measurement, before: Measurement | None) -> int:
 
 
 def note_on(iterations: int) -> str:
-    """What the report has to say of a search's result; empty where there is nothing."""
+    """A note on a search's result for the report, or empty."""
     return TOO_SLOW.format(iterations=iterations) if iterations < PILOT_ITERATIONS else ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the methods of a plan are trained with on one data set: a training finds its size from the data."""
+"""The configurations of a plan's methods on one data set, because training finds sizes from the data."""
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -14,10 +14,10 @@ from ...bridge.errors import PhysHDRError
 def sized(
     configs: Mapping[str, TrainConfig], typed: Mapping[str, Collection[str]], data: Path
 ) -> dict[str, TrainConfig]:
-    """``configs``, by method, as ``physhdr train`` makes them of the data set in ``data``.
+    """``configs``, by method, with sizes as in ``physhdr train`` on the data set in ``data``.
 
-    ``typed``: the settings that the plan sets, by method. Of a data set that cannot be read they stay as they
-    are: the training says what is wrong with it.
+    ``typed``: the settings that the plan sets, by method. If the data set cannot be read, they stay
+    unchanged: training will report the error.
     """
     scenes: dict[tuple[float | None, str | None], Scene] = {}
     found = dict(configs)
@@ -28,6 +28,6 @@ def sized(
                 scenes[how] = read_scene(data, *how)
         except PhysHDRError:
             return dict(configs)
-        with suppress(PhysHDRError):  # a method's file of points that is not there is that method's alone
+        with suppress(PhysHDRError):  # a missing file of points only affects this method
             found[name], _ = size.sized(scenes[how], config, typed[name])
     return found

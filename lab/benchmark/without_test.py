@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A data set without its test views: all that the processes of a plan that tunes are told of it.
+"""A data set without its test views, for the processes of a tuning plan.
 
-So no reader, monitor or evaluation needs a rule of its own, and none can forget it.
+No reader, monitor or evaluation needs a rule of its own, and none can forget it.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from ...bridge import data_set
 from ...bridge.errors import OutputError
 from ...bridge.regular import resolved
 
-#: What such a folder has of a data set beside files of points: its description, each split but the test's.
+#: Names in such a folder, apart from files of points: the description, and each split but the test's.
 _NAMES = (
     data_set.INFO_FILE,
     *(
@@ -26,15 +26,15 @@ _NAMES = (
 
 
 def names_without_test(data: Path) -> list[str]:
-    """The files and folders in a data set that a plan that tunes may open, in order; nothing is opened."""
+    """The files and folders in a data set that a tuning plan may open, sorted; opens nothing."""
     points = [path.name for path in data.glob("*.ply") if not path.name.startswith(".")]
     return sorted([*(name for name in _NAMES if (data / name).exists()), *points])
 
 
 def link_without_test(data: Path, folder: Path) -> Path:
-    """Make ``folder`` the data set ``data`` without test views, by links; returns it.
+    """Link the data set ``data`` without test views into ``folder``; returns it.
 
-    What is linked already stays, so that several commands may do this at once. Raises ``OutputError``.
+    Existing links stay, so that several commands may do this at once. Raises ``OutputError``.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -44,14 +44,14 @@ def link_without_test(data: Path, folder: Path) -> Path:
                 path.unlink(missing_ok=True)
         for name in names:
             target, link = resolved(data) / name, folder / name
-            # As both are resolved: what Windows says of a link's target is another spelling of it.
+            # Both resolved, because Windows spells a link's target differently.
             if not link.is_symlink() or resolved(link) != resolved(target):
                 _replace(link, target)
     except OSError as error:
         raise OutputError(
             f"cannot link the data set {data} into {folder}: {error.strerror or error}",
-            "A plan that tunes gives its runs a folder of links without test views: put --out where links "
-            "can be made (Windows makes them in Developer Mode).",
+            "A tuning plan gives its runs a folder of links without test views: choose an --out where links "
+            "can be made (on Windows in Developer Mode).",
         ) from error
     return folder
 

@@ -15,7 +15,7 @@ def told(*pictures):
     pixels, found = TrainingPixels(), Inspection("data")
     for picture in pictures:
         pixels.add_truth(picture)
-    pixels.tell(found)
+    pixels.summarise(found)
     assert found.dynamic_range is not None
     return found.dynamic_range
 

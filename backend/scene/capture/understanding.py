@@ -183,7 +183,7 @@ def understand(
     )
     if len(brackets.poses) < FEWEST_POSES:
         raise DataMismatchError(
-            f"{folder} holds {len(brackets.poses)} poses; {FEWEST_POSES} are the least", CAPTURE_REMEDY
+            f"{folder} holds {len(brackets.poses)} poses; at least {FEWEST_POSES} are needed", CAPTURE_REMEDY
         )
     understood = Understanding(
         found,

@@ -107,7 +107,7 @@ def test_validation_views_and_both_floors_are_told(validation_data, tmp_path, ca
     assert len(inspect(data).errors) == 2
     for name in ("transforms_test.json", "exposure_test.json"):
         (data / name).unlink()
-    (error,) = [error for error in inspect(data).errors if "speaks of" in error]
+    (error,) = [error for error in inspect(data).errors if " states " in error]
     assert "3 test poses" in error
 
 

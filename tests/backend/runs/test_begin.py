@@ -102,7 +102,7 @@ def test_a_run_is_not_resumed_with_another_data_set(tiny_data, tmp_path, worksho
         assert resumed.config == run.config
     take_from_elsewhere(moved)
     before = (out / CHECKPOINT_FILE).read_bytes()
-    with pytest.raises(DataMismatchError, match="stands elsewhere"), resume_run(out, moved, workshop):
+    with pytest.raises(DataMismatchError, match="pose has changed"), resume_run(out, moved, workshop):
         pass
     assert (out / CHECKPOINT_FILE).read_bytes() == before
 
@@ -115,9 +115,9 @@ def test_nor_with_its_own_where_that_has_become_another(tiny_data, tmp_path, wor
     with resume_run(out, None, workshop):
         pass
     take_from_elsewhere(data)
-    with pytest.raises(DataMismatchError, match="stands elsewhere"), resume_run(out, None, workshop):
+    with pytest.raises(DataMismatchError, match="pose has changed"), resume_run(out, None, workshop):
         pass
-    with pytest.raises(DataMismatchError, match="stands elsewhere"):
+    with pytest.raises(DataMismatchError, match="pose has changed"):
         open_run(out)
     # It can be looked at: from where its own cameras stood.
     told.clear()

@@ -79,7 +79,7 @@ def one_pixel(home: Path) -> str:
 def one_mask(home: Path) -> str:
     path = trained(home)[2]
     invert(home / "data" / "masks" / path.name)
-    return f"{path.name} has another mask"
+    return f"{path.name} has a different mask"
 
 
 def one_mask_removed(home: Path) -> str:
@@ -90,14 +90,14 @@ def one_mask_removed(home: Path) -> str:
         if frame["file_path"].endswith(name):
             del frame["mask_path"]
     transforms.write_text(json.dumps(content))
-    return f"{name} has another mask"
+    return f"{name} has a different mask"
 
 
 def another_lens(home: Path) -> str:
     """So little that the camera without distortion is as good as the same."""
     transforms = home / "data" / "transforms.json"
     transforms.write_text(transforms.read_text().replace('"p1": 0.0', '"p1": 1e-06'))
-    return "another lens"
+    return "a different lens"
 
 
 EXCHANGES = (all_negative, two_swapped, one_pixel, one_mask, one_mask_removed, another_lens)

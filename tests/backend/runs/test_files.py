@@ -167,7 +167,7 @@ def test_a_training_removes_nothing_from_a_folder_that_held_no_run(tiny_data, tm
 def test_weights_without_a_configuration_are_not_replaced(tiny_data, tmp_path, capsys):
     (tmp_path / CHECKPOINT).write_bytes(b"of another program")
     assert main(["train", str(tiny_data), "--out", str(tmp_path), *SHORT, "--overwrite"]) == 1
-    assert "no configuration beside it" in capsys.readouterr().err
+    assert "has no configuration and would be" in capsys.readouterr().err
     assert (tmp_path / CHECKPOINT).read_bytes() == b"of another program"
 
 

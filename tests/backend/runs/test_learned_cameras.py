@@ -50,7 +50,7 @@ def listed(folder):
 def test_exported_cameras_see_what_training_saw(run, tiny_data, capsys):
     """exp(ω) x + τ of the checkpoint's numbers, against the file as 3DGS's readers take it."""
     assert main(["export", str(run)]) == 0
-    assert "its cameras, where training has found them to be" in capsys.readouterr().out
+    assert "its cameras, with learned poses" in capsys.readouterr().out
     tensors = load_file(run / CHECKPOINT_FILE)
     twists = (tensors["poses.twist"] * tensors["poses.pixel"]).numpy()
     opened = open_run(run)

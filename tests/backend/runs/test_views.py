@@ -78,7 +78,7 @@ def test_photographs_that_are_added_do_not_change_what_a_run_is_tested_on(tmp_pa
     found = as_trained(run, before, told.append)
     assert (names(found.train), names(found.test)) == (names(first.train), names(first.test))
     (line,) = told
-    assert "divides them otherwise" in line and "4 more" in line and line in found.messages
+    assert "divides them differently" in line and "4 more" in line and line in found.messages
     assert found.test[0].image(0).shape == (72, 96, 3)  # with its pictures
 
 
@@ -102,11 +102,11 @@ def test_of_a_run_without_test_views_those_that_the_data_have_are_tested(scene, 
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"exposures": (0.1, 0.5, 2.0, 8.0, 32.0)}, "the exposures are others"),
-        ({"lighting_levels": (2.0,)}, "the light is another"),
-        ({"name": "train/another"}, "it has nothing"),
+        ({"exposures": (0.1, 0.5, 2.0, 8.0, 32.0)}, "the exposures have changed"),
+        ({"lighting_levels": (2.0,)}, "the light has changed"),
+        ({"name": "train/another"}, "it is missing"),
         ({"camera": {"fx": 30.0}}, "focal length"),
-        ({"camera": {"width": 64}}, "the pictures were 32×32, and are 64×32"),
+        ({"camera": {"width": 64}}, "the pictures were 32×32, and are now 64×32"),
     ],
 )
 def test_a_view_that_is_not_what_was_trained_on_is_named(scene, tmp_path, changed, said):
@@ -203,7 +203,7 @@ def test_brighter_pictures_that_are_added_leave_the_scale_of_radiance(where, tmp
     positions = [(0,)] * len(found.train)
     assert log_radiance_range(found.train, positions) == log_radiance_range(before.train, positions)
     assert found.train[0].values(0) == pytest.approx(1.0, abs=1e-4)  # and so are its codes
-    assert "radiance is compared at the run's scale, 1: " in told[0] and told[0] in found.messages
+    assert "comparing radiance at the run's scale, 1: " in told[0] and told[0] in found.messages
     assert len(told) == (1 if where == "test" else 2)
 
 

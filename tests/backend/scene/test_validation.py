@@ -153,7 +153,7 @@ def test_a_view_that_cannot_be_watched_is_told_once_and_ends_no_training(with_va
     assert measure is not None
     assert [measure(Flat()) for _ in range(3)] == [{}, {}, {}]
     (line,) = said
-    assert "training goes on" in line and "view test/r_3 " in line and "is missing" in line
+    assert "no longer measuring" in line and "view test/r_3 " in line and "is missing" in line
 
 
 # ---- evaluating --------------------------------------------------------------------------------------------

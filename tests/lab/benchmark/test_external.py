@@ -338,7 +338,7 @@ def test_a_report_alone_loses_no_run_that_was_evaluated(tiny_data, tmp_path, cap
     (theirs / "cost.json").write_text('{"seconds": 3}')  # its run is another one now
     capsys.readouterr()
     assert main(again) == 1
-    assert "no run of this plan is done: what is in" in " ".join(capsys.readouterr().out.split())
+    assert "no run of this plan is done: not replacing" in " ".join(capsys.readouterr().out.split())
     assert ((out / "report.md").read_text(), (out / "report.csv").read_text()) == good
     assert main([*again, "--report", str(tmp_path / "elsewhere.md")]) == 1
     assert main(again[:-1]) == 0 and "| theirs | 3.00 |" in (out / "report.md").read_text()
