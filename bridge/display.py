@@ -43,11 +43,14 @@ DISPLAY_FLOOR = 0.01
 _LOG_FIT_NODES = (1, 3, 4, 5)
 
 
-def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> np.ndarray:
+def log_radiance_of(
+    colour_sh: np.ndarray, color_space: ColorSpace = "SRGB", ceiling: float = np.inf
+) -> np.ndarray:
     """``[N, K, 3]``: SH of ln radiance for the colours Σ sh·Y + ½ of a standard 3DGS file.
 
     ``color_space``: ``SRGB``, display-referred, is linearised; ``LINEAR`` is taken as radiance. Exact for
     degree 0 above the floor (``DISPLAY_FLOOR``), least squares over all directions for the others.
+    ``ceiling``: what is above it is taken as it.
     """
     degree = degree_of(colour_sh.shape[1])
     directions, weights = quadrature(_LOG_FIT_NODES[degree])
@@ -56,12 +59,13 @@ def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> 
 
     def log_of_linear(colour: np.ndarray) -> np.ndarray:
         colour += np.float32(0.5)
-        np.maximum(colour, linear_floor, out=colour)
+        np.clip(colour, linear_floor, np.float32(ceiling), out=colour)
         return np.log(colour, out=colour)
 
     def log_of_srgb(code: np.ndarray) -> np.ndarray:
         # ln of the power piece: one logarithm instead of a power and a logarithm.
         code += np.float32(0.5)
+        np.minimum(code, np.float32(ceiling), out=code)
         straight = np.flatnonzero(code < srgb.CODE_KNEE)
         low = np.log(np.maximum(code.reshape(-1)[straight] / np.float32(srgb.SLOPE), linear_floor))
         np.maximum(code, np.float32(DISPLAY_FLOOR), out=code)

@@ -15,19 +15,30 @@ from typing import Any
 import numpy as np
 
 from .axes import Up
-from .display import ColorSpace, log_radiance_of
+from .display import FITTED_COMMENT, ColorSpace, log_radiance_of
 from .errors import BadValueError, DataMismatchError, FileDamagedError
-from .gaussian_ply import GaussianPly, gaussians_in, is_compressed, open_gaussians
+from .gaussian_ply import EXTRA_PREFIX, GaussianPly, gaussians_in, is_compressed, open_gaussians
 from .lights import AMBIENT, check_lights
 from .limits import LOG_RADIANCE_MAX
 from .lossless_form import EXPOSURES, LIGHTS, curve_of, exposures_of, form_of, lights_of, says_curve
 from .model_file import ADDITIVE_LIGHTS, Model, largest_log_radiance
+from .run_folder import MODEL_FILE
 from .spherical_harmonics import C0, rotated
 from .splat_files.cloud import SplatCloud
 from .splat_files.compressed_ply import cloud_of_compressed
 from .splat_files.standard_ply import cloud_of_ply, shape_of, sigmoid
 from .splat_files.usable import left_out_note, only_usable, require_one, usable
 
+#: What is said of files whose colours are right only where codes are blended, as viewers do.
+FITTED = (
+    "Its colours were fitted for viewers that blend codes; Blender blends light and shows blobs and flares"
+)
+BLENDED_AS_CODES = "Viewers blend these codes, Blender blends light: edges and highlights look different"
+#: Fitted codes above what their pictures hold flare once they are linear. Clipped, an import of the demo is
+#: 24.4 dB from the model's own picture and 6 codes of 255 too bright; as they are, 17.5 dB and 15 codes.
+BRIGHTEST_CODE = 1.0
+#: Bytes of a file in which our first comments are.
+_HEAD = 4096
 #: Columns of the lights' logits: 3 of the ambient light alone, or 3 C of several (light by light).
 AMBIENT_LOGITS, LIGHT_LOGITS = "phys_ambient_share_logits", "phys_light_share_logits"
 #: Comment lines ``PhysHDR KEY: VALUE`` become metadata.
@@ -120,10 +131,13 @@ def model_of_cloud(
     ``BadValueError`` where none is usable.
     """
     cloud, left_out = only_usable(path, cloud)
-    sh = log_radiance_of(cloud.colour_sh, color_space)
+    is_clipped = cloud.is_fitted and color_space == "SRGB"
+    sh = log_radiance_of(cloud.colour_sh, color_space, BRIGHTEST_CODE if is_clipped else np.inf)
     notes = [*cloud.notes]
-    if color_space == "SRGB":
-        notes.append("Its colours are display-referred; they were linearised as sRGB.")
+    if cloud.is_fitted:
+        notes.append(f"{FITTED}: import {_source_of(path)} instead.")
+    elif color_space == "SRGB":
+        notes.append(f"Its colours are display-referred; they were linearised as sRGB. {BLENDED_AS_CODES}.")
     notes.append("Nothing is known of its light: the lighting level scales everything.")
     share = np.ones((len(sh), 1, 3), np.float32)
     arrays = {name: getattr(cloud, name) for name in ("position", "rotation", "scale", "opacity")}
@@ -133,6 +147,25 @@ def model_of_cloud(
         {"metadata": metadata or {}},
         _Extras(cloud.colour_sh, left_out, tuple(notes), cloud.up),
     )
+
+
+def warning_of(path: Path) -> str:
+    """What an import as sRGB says of the colours of a PLY, by the beginning of its header; cheap."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError:  # the import itself says what is wrong
+        return ""
+    # A lossless PLY is read as the model that it is.
+    if FITTED_COMMENT.encode() in head and EXTRA_PREFIX.encode() not in head:
+        return f"{FITTED}: import {_source_of(path)} instead."
+    return f"{BLENDED_AS_CODES}."
+
+
+def _source_of(path: Path) -> str:
+    """The model file that a baked file was made of, where one lies beside, else what it is."""
+    model = path.with_name(MODEL_FILE)
+    return str(model) if model.is_file() else "the model file (.safetensors) that it was baked from"
 
 
 @dataclass(frozen=True, eq=False)

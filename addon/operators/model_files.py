@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Files of Gaussians into the scene, by script, menu or drag and drop, and edited models into files."""
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -10,6 +11,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper, poll_file_object_dro
 from ...bridge.errors import PhysHDRError
 from ...bridge.gaussian_import import is_model_file
 from ...bridge.model_file import SUFFIX, write_model
+from ...bridge.ply_model import warning_of
 from ...bridge.splat_files import SUFFIXES
 from .. import outside
 from ..blender import cloud_of, layout_of, takes_objects
@@ -23,6 +25,8 @@ from ..rendering.render_setup import render_problems
 
 #: Files that are offered. A .sog cannot be read here, but then a message says what to do with it.
 OFFERED = (SUFFIX, *SUFFIXES, ".sog")
+#: Letters of a line in the import dialog.
+LINE = 44
 SET_UP_NEXT = "Before you render: Set Up Render, in the panel Render."
 
 
@@ -95,6 +99,10 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         column.use_property_split = True
         for name in ("name", "orientation", "color_space", "viewport"):
             column.prop(self, name)
+        paths = [path for path in self._paths() if path.is_file() and not is_model_file(path)]
+        if self.color_space == "SRGB":
+            for line in textwrap.wrap(warning_of(paths[0]) if paths else "", LINE):
+                column.label(text=line)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         paths = self._paths()

@@ -44,6 +44,8 @@ class SplatCloud:
     notes: tuple[str, ...] = ()
     #: Which way is up in these axes, by the file's own word or the format's convention.
     up: Up = "z"
+    #: Whether the colours were fitted to pictures (``display.FITTED_COMMENT``): only their blend is right.
+    is_fitted: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.position)

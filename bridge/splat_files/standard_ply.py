@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..axes import Up
+from ..display import FITTED_COMMENT
 from ..gaussian_ply import EXTRA_PREFIX, UP_WORDS, GaussianPly
 from .cloud import UP, SplatCloud
 
@@ -30,7 +31,9 @@ def cloud_of_ply(ply: GaussianPly) -> SplatCloud:
     if FILTER in ply.columns:
         shape |= _smoothed(shape["scale"], shape["opacity"], ply.columns[FILTER])
         notes = (f"Its {FILTER} (Mip-Splatting's) is part of its scales and opacities here.",)
-    return SplatCloud(**shape, colour_sh=_colour_sh(ply.columns), notes=notes, up=up_of(ply))
+    is_fitted = FITTED_COMMENT in ply.comments
+    colour_sh = _colour_sh(ply.columns)
+    return SplatCloud(**shape, colour_sh=colour_sh, notes=notes, up=up_of(ply), is_fitted=is_fitted)
 
 
 def shape_of(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:

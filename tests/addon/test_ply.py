@@ -2,15 +2,18 @@
 """Any 3DGS PLY in Blender: what arrives, how it is turned, several files, drag and drop."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from physhdr.bridge.display import FITTED_COMMENT
 from physhdr.bridge.gaussian_ply import write_standard_ply
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon.model import model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.operators import model_files  # noqa: E402
 
 
 @pytest.fixture
@@ -144,3 +147,17 @@ def test_a_collection_that_is_excluded_or_linked_takes_it_nevertheless(registere
     bpy.context.view_layer.layer_collection.children[0].exclude = True
     assert bpy.ops.physhdr.model_import(filepath=str(ply)) == {"FINISHED"}
     assert len(bpy.data.objects) == 1
+
+
+def test_the_dialog_names_the_model_file_of_a_baked_one(registered, gaussians, tmp_path):
+    path = tmp_path / "baked.ply"
+    write_standard_ply(path, **gaussians, comments=[FITTED_COMMENT])
+    (tmp_path / "model.safetensors").touch()
+    labels = []
+    column = SimpleNamespace(prop=lambda *_: None, label=lambda text: labels.append(text))
+    dialog = SimpleNamespace(
+        layout=SimpleNamespace(column=lambda: column), color_space="SRGB", _paths=lambda: [path]
+    )
+    model_files.PHYSHDR_OT_model_import.draw(dialog, bpy.context)
+    assert "fitted for viewers that blend codes" in " ".join(labels)
+    assert str(tmp_path / "model.safetensors") in "".join(labels)

@@ -17,7 +17,7 @@ from physhdr.bridge.errors import BadValueError, FileDamagedError, PhysHDRError
 from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from physhdr.bridge.lossless_form import form_columns, tensor_comments, tensors_from_comments, words_of
 from physhdr.bridge.model_file import Model
-from physhdr.bridge.ply_model import light_shares, read_ply_model
+from physhdr.bridge.ply_model import light_shares, read_ply_model, warning_of
 from physhdr.bridge.spherical_harmonics import C0, basis
 
 
@@ -634,3 +634,35 @@ def test_a_pipe_is_no_ply(tmp_path: Path):
     os.mkfifo(tmp_path / "a.ply")
     with pytest.raises(FileDamagedError, match=r"a\.ply is a pipe, not a file"):
         read_ply_model(tmp_path / "a.ply")
+
+
+def test_a_file_of_fitted_colours_names_the_model_file_to_import(tmp_path: Path):
+    """Its codes are right only where codes are blended: in Blender, which blends light, they flare."""
+    path, model = tmp_path / "baked.ply", tmp_path / "model.safetensors"
+    write_standard_ply(path, **gaussians(), comments=[display.FITTED_COMMENT])
+    notes = read_ply_model(path).notes
+    assert any("fitted for viewers" in note and "that it was baked from" in note for note in notes)
+    assert not any("linearised" in note for note in notes)
+    model.touch()
+    assert any(f"import {model} instead" in note for note in read_ply_model(path).notes)
+    assert f"import {model} instead" in warning_of(path)
+
+
+def test_other_files_of_display_colours_say_that_blends_differ(tmp_path: Path):
+    path = tmp_path / "scan.ply"
+    write_standard_ply(path, **gaussians())
+    assert any("Viewers blend these codes" in note for note in read_ply_model(path).notes)
+    assert "Viewers blend these codes" in warning_of(path)
+    assert not any("blend" in note for note in read_ply_model(path, "LINEAR").notes)
+    assert warning_of(tmp_path / "gone.ply") == ""
+
+
+def test_fitted_codes_above_white_do_not_flare(tmp_path: Path):
+    """Where codes are blended others make up for them; as radiance, code 3 would be 13 times white."""
+    given = gaussians(coefficients=1)
+    given["colour_sh"][:, 0] = (3.0 - 0.5) / C0
+    for name, comments in (("fitted", [display.FITTED_COMMENT]), ("other", [])):
+        write_standard_ply(tmp_path / f"{name}.ply", **given, comments=comments)
+    fitted, other = (read_ply_model(tmp_path / f"{name}.ply").model for name in ("fitted", "other"))
+    np.testing.assert_allclose(np.exp(fitted.log_radiance_sh[:, 0] * C0), 1.0, rtol=1e-4)
+    np.testing.assert_allclose(np.exp(other.log_radiance_sh[:, 0] * C0), srgb.to_linear(3.0), rtol=1e-4)
