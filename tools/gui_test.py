@@ -55,7 +55,7 @@ ROOM_MARK = "PHYSHDR_GUI_TEST"
 #: Of the extension: whose functions are compiled.
 COMPILED = ("backend/kernels/", "backend/rasterize/", "backend/simd/")
 #: Of the demo's run: what tests open, import and evaluate.
-OF_RUN = ("config.json", "checkpoint.safetensors", "model.safetensors", "log.jsonl")
+OF_RUN = ("config.json", "views.json", "checkpoint.safetensors", "model.safetensors", "log.jsonl")
 #: Seconds for the first answer of the mirror.
 PAGE_SECONDS = 20
 
