@@ -59,7 +59,8 @@ def _done(scene: bpy.types.Scene, run: str) -> frozenset[str]:
         done.add(SET_UP)
     if is_lit(scene.world):
         done.add(LIT)
-    if any(os.path.exists(os.path.join(run, name)) for name in (WEB_FILE, WEB_FOLDER)):
+    # Only of a run pages and videos are made.
+    if not has_run(run) or any(os.path.exists(os.path.join(run, name)) for name in (WEB_FILE, WEB_FOLDER)):
         done.add(SHARED)
     return frozenset(done)
 

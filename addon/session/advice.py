@@ -130,6 +130,8 @@ def next_step(state: State, choices: Choices) -> str:
         return unsaved(choices)
     if not choices.data and choices.not_looked_at:
         return LOOK_FIRST
+    if not choices.data and IMPORTED in choices.done and (step := _in_scene(choices)):
+        return step
     if not choices.data or not state.dataset.folder or state.dataset.problem:
         return "Prepare photos, render a data set from this scene, or choose one"
     if choices.out_has_run:

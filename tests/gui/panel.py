@@ -66,6 +66,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: session.state.job.state == "stopped", 60, "stopped")
     yield from window.redrawn()
     window.screenshot("7_stopped")
+    bpy.data.objects.remove(bpy.context.scene.camera)  # it would stand in the picture
     with window.override():
         bpy.ops.physhdr.result_import("INVOKE_DEFAULT")
         assert not bpy.ops.physhdr.result_import.poll()  # a double click is one import

@@ -778,6 +778,12 @@ def test_what_is_done_out_of_order_is_not_asked_for_again():
     assert next_step(finished, replace(chosen, done=chosen.done | {SEEN})).startswith("Let it light")
 
 
+def test_a_splat_that_was_opened_leads_on_before_a_data_set_is_asked_for():
+    assert next_step(READY, Choices(done=frozenset({IMPORTED}))).startswith("Look through")
+    everything = frozenset(name for name, *_ in IN_SCENE)
+    assert "data set" in next_step(READY, Choices(done=everything))
+
+
 def test_a_model_without_a_trainer_is_looked_at_and_rendered_before_one_is_installed():
     chosen = Choices(done=frozenset({IMPORTED}))
     assert next_step(State(), chosen).startswith("Look through")
