@@ -75,7 +75,7 @@ def require_bundled() -> None:
     """
     root = Path(__file__).resolve().parents[1]
     manifest = tomllib.loads((root / "blender_manifest.toml").read_text(encoding="utf-8"))
-    packages = [Path(wheel).name.partition("-")[0] for wheel in manifest["wheels"]]
+    packages = [Path(wheel).name.partition("-")[0] for wheel in manifest.get("wheels", ())]
     missing = ", ".join(name for name in packages if find_spec(name) is None)
     if not missing:
         return
