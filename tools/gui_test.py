@@ -67,6 +67,7 @@ KEPT = {
     "training": "panel/4_training",
     "failed": "panel/6_failed",
     "imported": "panel/8_imported",
+    "found": "search/1_found",
     "level_0.25": "live_preview/level_0.25",
     "level_1": "live_preview/level_1",
     "level_4": "live_preview/level_4",
