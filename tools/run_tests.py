@@ -44,12 +44,12 @@ LANES: tuple[dict[str, tuple], ...] = (
     },
 )
 LONG: tuple[dict[str, tuple], ...] = (
-    {"long": (*PYTEST, "-m", "long", "tests/backend", "tests/lab")},
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--others"),
         "long blender": (*IN_BLENDER, "-m", "long", "tests/synth", "tests/addon"),
-        "long loop": (*PYTEST, "-m", "long", "tests/loop"),
+        "long": (*PYTEST, "-m", "long", "tests/backend", "tests/lab"),
     },
+    {"long loop": (*PYTEST, "-m", "long", "tests/loop")},
 )
 
 
