@@ -27,7 +27,7 @@ GIVEN, LEARNED = "given", "learned"
 REMEDY = "Delete it, and export the run again; without it the data set's own poses are taken."
 #: Of a rotation's columns: how far from unit and square they may be.
 RIGID = 1e-3
-#: So many cameras are in a model file at most, evenly chosen: enough to look around in it.
+#: The most cameras in a model file, evenly chosen: enough to look around in it.
 LISTED_MOST = 500
 #: Significant digits there.
 DIGITS = 7
@@ -53,7 +53,7 @@ class ListedCamera:
 
 
 def camera_text(cameras: Sequence[ListedCamera]) -> str:
-    """The list as JSON in one line, for a model file; of many cameras some."""
+    """The list as JSON in one line, for a model file; a subset where there are many cameras."""
     step = -(-len(cameras) // LISTED_MOST) or 1
     return json.dumps(
         [_short(_entry(*each)) for each in list(enumerate(cameras))[::step]], separators=(",", ":")
@@ -72,7 +72,7 @@ def _short(value: Any) -> Any:
 def cameras_of(content: Any, path: Path, remedy: str) -> tuple[ListedCamera, ...]:
     """The cameras of a list that was read from ``path``; raises ``FileDamagedError``, with that remedy."""
     if not _is_ours(content):
-        raise FileDamagedError(f"{path}: its cameras are no list of ours", remedy)
+        raise FileDamagedError(f"{path}: PhysHDR did not write its list of cameras", remedy)
     return tuple(_camera(each, path, remedy) for each in content)
 
 
@@ -175,5 +175,5 @@ def _pose(each: dict[str, Any], path: Path, remedy: str = REMEDY) -> np.ndarray:
         raise FileDamagedError(error.message, remedy) from error
     rotation = pose[:3, :3]
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID or np.linalg.det(rotation) < 0.0:
-        raise FileDamagedError(f"{where}: rotation is none", remedy)
+        raise FileDamagedError(f"{where}: rotation is not a rotation", remedy)
     return pose @ OPENGL_TO_OPENCV

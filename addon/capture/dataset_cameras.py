@@ -104,7 +104,7 @@ def _placed(frame: Frame, learned: dict[str, np.ndarray]) -> Frame:
 
 
 def has_cameras(target: bpy.types.Object) -> bool:
-    """Whether a model's cameras can be told: by its data set, or by what came with it."""
+    """Whether a model's cameras are known, from its data set or from its file."""
     return origin.data_of(target) is not None or CAMERAS in cloud_of(target)
 
 
@@ -175,7 +175,7 @@ def _set_lens(camera: bpy.types.Object, frame: Frame) -> None:
 
 
 def first_place(target: bpy.types.Object) -> Frame | None:
-    """The camera to look through first, where the model stands now; None where its cameras cannot be told.
+    """The camera to look through first, where the model stands now; None where its cameras are not known.
 
     Raises as ``import_cameras``; nothing is made.
     """

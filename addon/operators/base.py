@@ -41,12 +41,14 @@ def choices(context: bpy.types.Context) -> Choices:
         of_file=True,
         not_looked_at=outside.not_chosen(settings, getattr(context.scene, DATASET)),
         unsaved=next((each for each in (settings.data, settings.out) if is_nowhere(each)), ""),
-        done=_done(context.scene, out),
     )
 
 
-def _done(scene: bpy.types.Scene, run: str) -> frozenset[str]:
-    """What of ``advice.IN_SCENE`` was done in the scene with a model of the run, or with any of a file."""
+def done_in(scene: bpy.types.Scene, run: str) -> frozenset[str]:
+    """Which of ``advice.IN_SCENE`` were done in the scene with a model of the run, or of a file.
+
+    It looks at all objects: for the panel's arrow alone, once a redraw, not for every button as ``choices``.
+    """
     models = [each for each in scene.objects if is_model(each)]
     if has_run(run):
         models = [each for each in models if is_of_run(each, run)]
@@ -59,7 +61,7 @@ def _done(scene: bpy.types.Scene, run: str) -> frozenset[str]:
         done.add(SET_UP)
     if is_lit(scene.world):
         done.add(LIT)
-    # Only of a run pages and videos are made.
+    # Web pages and videos are made from runs only.
     if not has_run(run) or any(os.path.exists(os.path.join(run, name)) for name in (WEB_FILE, WEB_FOLDER)):
         done.add(SHARED)
     return frozenset(done)

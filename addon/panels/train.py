@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panel *Train PhysHDR*: how things are, how far, what is wrong, the next step."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import bpy
 
 from .. import outside
 from ..blender import layout_of
-from ..operators.base import choices
+from ..operators.base import choices, done_in
 from ..runtime import session
 from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import State
@@ -42,7 +43,7 @@ class PHYSHDR_PT_train(SidebarPanel, bpy.types.Panel):
             icon = "RADIOBUT_OFF"
         layout.label(text=headline(state, chosen), icon="ERROR" if problem else icon)
         # In rows of their own for good, so that nothing below moves when work begins or ends.
-        step = next_step(state, chosen)
+        step = next_step(state, replace(chosen, done=done_in(context.scene, chosen.out)))
         write(context, layout, step, "FORWARD" if step else "NONE", lines=STEP_LINES)
         draw_progress(context, layout, state, is_of_file(state.job, chosen))
         if chosen.not_looked_at:

@@ -69,7 +69,7 @@ class PHYSHDR_MT_train(bpy.types.Menu):
 
 
 def resumes(context: bpy.types.Context, state: State) -> bool:
-    """Whether the training that was begun is what one goes on with: the run's folder has one, unfinished."""
+    """Whether the run's folder holds an unfinished training, which is then resumed."""
     chosen = choices(context)
     is_finished = state.job.state == "finished" and is_of_file(state.job, chosen)
     return not is_finished and not why_not(state, "resume", chosen)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Blender takes for a model's size while the shader draws it: a capture without what is far away.
+"""A model's bounds in the 3D view while the shader draws it: those of a capture without what is far away.
 
 A few Gaussians stand for the sky and for what is behind windows, hundreds of metres away. Blender's bounds
 have all points in them, and so *View Selected* would show a room as a dot. A modifier of the 3D view alone

@@ -41,6 +41,8 @@ from .splat_data import (
 )
 from .splat_renderer import Drawing, Item, SplatRenderer, Target
 
+#: After the last change of a model's points: until its bounds are computed again.
+BOUNDS_SECONDS = 0.5
 #: A redraw may spend about as long here.
 BUDGET_SECONDS = 0.03
 #: Up to as many Gaussians are always sorted exactly; more take too long while the view moves.
@@ -305,7 +307,7 @@ def _held(cloud: bpy.types.PointCloud) -> _Held:
         if held is None or held.fingerprint != now:
             # The old textures make room first.
             if _runtime.held.pop(uid, None) is not None:
-                _soon(_hide_points, 0.0)  # what is far away may be another part
+                _soon(_hide_points, BOUNDS_SECONDS)  # other points may be far away now
             held = _runtime.held[uid] = _Held(cloud, now)
         _runtime.suspects.discard(uid)
     return held

@@ -374,7 +374,7 @@ class Method(nn.Module, ABC):
         self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
     ) -> list[torch.Tensor]:
         """``photographed`` at one level a light; of methods with ``Traits.effects``."""
-        raise BadValueError("this method knows of no gain, white balance or vignetting of a photo")
+        raise BadValueError("this method does not model a photo's gain, white balance or vignetting")
 
     def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
         """``hdr`` at one level a light."""

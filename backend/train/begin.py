@@ -74,7 +74,7 @@ def resume(
     device: torch.device | str = "cpu",
     configuration: str = "",
 ) -> State:
-    """The state in which the run in ``folder`` was saved; on the CPU it goes on bit-identically.
+    """The state in which the run in ``folder`` was saved; on the CPU it resumes bit-identically.
 
     ``configuration``: the fingerprint of its config.json as it was written; by default that of ``config``.
     Raises as ``begin``, and what reading a checkpoint raises.

@@ -145,7 +145,7 @@ def calibrate(method: Method, nuisances: Nuisances | None, config: TrainConfig) 
             f"{config.calibration} knows the lens's vignetting, which this training would take no notice of",
             "Leave out --nuisances off; of a preset that has it, set --nuisances auto."
             if is_off
-            else f"{config.method.name} knows of none: leave out --calibration.",
+            else f"{config.method.name} does not model it: leave out --calibration.",
         )
 
 

@@ -83,7 +83,7 @@ class Nuisances(Part):
         config, effects = plan.config, plan.config.method.traits.effects
         if config.nuisances == "on" and not effects:
             raise BadValueError(
-                f"{config.method.name} knows of no gain, white balance or vignetting of a photo",
+                f"{config.method.name} does not model a photo's gain, white balance or vignetting",
                 "Leave out --nuisances on.",
             )
         # Merged radiance and renders in EXR have no exposure or white balance of their own any more.

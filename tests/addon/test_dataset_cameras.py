@@ -19,7 +19,7 @@ from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.capture import dataset_cameras, placement  # noqa: E402
 from physhdr.addon.layouts import cameras  # noqa: E402
 from physhdr.addon.model import origin  # noqa: E402
-from physhdr.addon.operators.base import choices  # noqa: E402
+from physhdr.addon.operators.base import done_in  # noqa: E402
 from physhdr.addon.session.advice import IMPORTED, SEEN, SET_UP, SHARED  # noqa: E402
 from physhdr.addon.viewport import framing  # noqa: E402
 from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
@@ -182,13 +182,13 @@ def test_one_looks_through_one_camera_after_the_other(registered, alone):
 
 def test_the_panel_knows_what_was_done_with_a_model(registered, alone):
     """Each step is known once it is done, whatever order they are done in."""
-    assert choices(bpy.context).done == {IMPORTED, SHARED}  # a page would be of a run
+    assert done_in(registered, "") == {IMPORTED, SHARED}  # a page would be of a run
     bpy.ops.physhdr.look_through(step=0)
-    assert choices(bpy.context).done == {IMPORTED, SEEN, SHARED}
+    assert done_in(registered, "") == {IMPORTED, SEEN, SHARED}
     bpy.ops.physhdr.render_setup()
-    assert choices(bpy.context).done == {IMPORTED, SEEN, SET_UP, SHARED}
+    assert done_in(registered, "") == {IMPORTED, SEEN, SET_UP, SHARED}
     bpy.data.objects.remove(alone[0])
-    assert choices(bpy.context).done == frozenset()
+    assert done_in(registered, "") == frozenset()
 
 
 def test_a_view_takes_the_place_of_a_camera_and_shows_its_whole_picture(registered, alone):

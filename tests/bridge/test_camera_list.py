@@ -89,8 +89,8 @@ def test_no_file_is_no_pose_and_ours_is_replaced(path):
         ("position", [1.0, 2.0, 1e30], "coordinates must be"),
         ("position", None, "position is not 3 numbers"),
         ("rotation", [[1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "rotation is not 3×3 numbers"),
-        ("rotation", (2.0 * np.eye(3)).tolist(), "rotation is none"),
-        ("rotation", np.diag([1.0, 1.0, -1.0]).tolist(), "rotation is none"),
+        ("rotation", (2.0 * np.eye(3)).tolist(), "rotation is not a rotation"),
+        ("rotation", np.diag([1.0, 1.0, -1.0]).tolist(), "rotation is not a rotation"),
     ],
 )
 def test_a_damaged_entry_is_named(path, key, value, said):
@@ -117,8 +117,8 @@ def test_of_very_many_cameras_some_are_in_the_file():
         ({"fx": -1.0}, "no focal length"),
         ({"cy": 10**400}, "no focal length"),
         ({"img_name": ""}, "no img_name"),
-        ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "rotation is none"),
-        ({"pose": "unknown"}, "no list of ours"),
+        ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "rotation is not a rotation"),
+        ({"pose": "unknown"}, "PhysHDR did not write"),
     ],
 )
 def test_cameras_that_cannot_be_are_refused(change, message):

@@ -160,7 +160,7 @@ def test_a_checkpoint_that_lacks_a_part_is_refused(tiny_data, tmp_path):
 
 
 def test_methods_that_know_no_effects_refuse_it(tiny_data):
-    with pytest.raises(BadValueError, match="gausshdr knows of no gain"):
+    with pytest.raises(BadValueError, match="gausshdr does not model a photo's gain"):
         begin(read_scene(tiny_data), short("gausshdr"))
 
 
