@@ -6,7 +6,7 @@ the exposure to the camera, which meters each place. Numpy alone.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from fractions import Fraction
 from typing import Any
@@ -37,11 +37,13 @@ PAUSE, WALK = 1.0, 12.0
 #: The width of 35 mm film in millimetres, which EXIF's focal length refers to.
 FILM_WIDTH = 36.0
 MOMENT = "%Y:%m:%d %H:%M:%S"
+#: The folder of the photos under the standard light.
+STANDARD = "photos"
 
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """One photo before it is taken."""
+    """One photo before it is taken. ``levels`` of lights that are not at 1; ``folder``: where it will lie."""
 
     number: int
     place: Place
@@ -52,11 +54,21 @@ class Photo:
     taken: datetime
     #: The camera as it is at this place; an ideal one at places for testing, whose photos are the truth.
     camera: ViewCamera
+    folder: str = STANDARD
+    levels: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """Without its suffix."""
         return f"IMG_{self.number:04d}"
+
+
+@dataclass(frozen=True)
+class Group:
+    """A round of photos under one light, into one folder. ``levels`` of lights that are not at 1."""
+
+    folder: str = STANDARD
+    levels: Mapping[str, float] = field(default_factory=dict)
 
 
 def metered(radiance: np.ndarray, share: float = METERED_SHARE) -> float:
@@ -83,19 +95,25 @@ def plan(
     evs: Sequence[float] | None,
     model: CameraModel,
     seed: int,
+    group: Group = Group(),
+    before: Sequence[Photo] = (),
 ) -> list[Photo]:
-    """All photos in the order in which they are taken.
+    """The photos of one group in the order in which they are taken, after those taken ``before``.
 
-    ``meters``: ``metered`` of each place. ``evs``: the bracket's stops about the median of these; where it
-    is ``None`` each place has one photo, exposed as the camera meters it.
+    ``meters``: ``metered`` of each place under the group's light. ``evs``: the bracket's stops about the
+    median of these; where it is ``None`` each place has one photo, exposed as the camera meters it.
     """
     base = on_the_dial(float(np.median(meters)))
-    clock, found = BEGINNING, []
+    clock = before[-1].taken + timedelta(seconds=WALK) if before else BEGINNING
+    number, found = len(before), []
     for place, meter in zip(places, meters, strict=True):
         exposures = [on_the_dial(meter)] if evs is None else [base * 2.0**ev for ev in evs]
-        camera = (CameraModel() if place.test else model).view(seed, place.name)
+        # The camera has other noise and other faults when it comes by again.
+        name = place.name if group.folder == STANDARD else f"{group.folder}/{place.name}"
+        camera = (CameraModel() if place.test else model).view(seed, name)
         for exposure, ev in zip(exposures, evs or [0.0], strict=True):
-            found.append(Photo(len(found) + 1, place, exposure, ev, clock, camera))
+            number += 1
+            found.append(Photo(number, place, exposure, ev, clock, camera, group.folder, group.levels))
             clock += timedelta(seconds=shutter(exposure, model) + PAUSE)
         clock += timedelta(seconds=WALK)
     return found
@@ -154,6 +172,8 @@ def describe(photo: Photo, suffix: str) -> dict[str, Any]:
     """The truth about a photo."""
     return {
         "file": photo.name + suffix,
+        "folder": photo.folder,
+        "levels": dict(photo.levels),
         "place": photo.place.name,
         "test": photo.place.test,
         "exposure": photo.exposure,
@@ -171,6 +191,7 @@ def transforms(photos: Sequence[Photo], names: Mapping[Photo, str], lens: Lens) 
                 "file_path": names[photo],
                 "transform_matrix": photo.place.pose.tolist(),
                 "exposure_time": photo.exposure,
+                **({"lighting_levels": dict(photo.levels)} if photo.levels else {}),
             }
             for photo in photos
         ],

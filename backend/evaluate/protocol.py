@@ -113,12 +113,15 @@ def evaluate(
         standard = _standard_views(renderer, scene, split, step)
         hdr_rows = _hdr_rows(standard, lpips, published=bool(data_set_of(scene)))
         messages += _without_scale(hdr_rows)
+        # The unit of radiance is free where photographs are trained from: one scale for all, found under the
+        # standard light alone, so that no lamp is helped by it.
+        scale = middle_ratio([row.scale_ratio for row in hdr_rows]) if scene.photographs else 1.0
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
             view = scene.find(TEST, item.index)  # its error lists the poses
             if item.index not in standard:
                 continue  # entirely masked
-            if row := _relit_row(renderer, standard[item.index], item):
+            if row := _relit_row(renderer, standard[item.index], item, scale or 1.0):
                 relit_rows.append(row)
             else:
                 messages.append(f"Relit {item.condition} of {view.name} left out: its truth is black.")
@@ -205,7 +208,7 @@ def _skipped(
     elif split != TEST:
         messages.append(f"Relit left out: relit truth is of test views alone, not of {VIEWS_OF[split]}.")
     elif not relit:
-        messages.append(f"Relit left out: {scene.root / 'relit'} holds no level_*/hdr_*.exr.")
+        messages.append(f"Relit left out: {scene.root / 'relit'} holds no hdr_*.exr.")
     elif unknown:
         conditions = ", ".join(dict.fromkeys(item.condition for item in unknown))
         messages.append(f"Relit left out, because {why}: {conditions}.")
@@ -314,13 +317,18 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, publis
     return rows
 
 
-def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTruth) -> RelitRow | None:
-    """None if the truth is black, as with every light off: there is nothing to normalise by."""
+def _relit_row(
+    renderer: Renderer, standard: _StandardView, item: truth.RelitTruth, scale: float
+) -> RelitRow | None:
+    """None if the truth is black, as with every light off: there is nothing to normalise by.
+
+    ``scale``: the renderer's radiance over the truth's.
+    """
     view, mask, relit = standard.view, standard.mask, item.radiance()
     if not relit.max() > 0.0:
         return None
     ours = renderer.hdr(view.camera, item.levels_of(renderer.lights))
-    ours = finite(ours, f"{view.name} at {item.condition}")
+    ours = finite(ours, f"{view.name} at {item.condition}") / scale
     height, width = ours.shape[1:]
     truth_standard = averaged_to(standard.truth, height, width)
     best_factor = scale_ratio(averaged_to(relit, height, width), truth_standard, mask)
@@ -343,7 +351,7 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
         scale_ratio=scale_ratio(ours, relit, mask),
         ours=score(ours),
         scaled_truth=(scaled_truth := score(factor * truth_standard)),
-        scaled_ours=score(factor * standard.prediction),
+        scaled_ours=score(factor / scale * standard.prediction),
         best_scaled_truth=scaled_truth if factor == best_factor else score(best_factor * truth_standard),
         factor=factor,
         best_factor=best_factor,

@@ -105,8 +105,8 @@ class RelitTruth:
 def relit_truth(root: Path) -> list[RelitTruth]:
     """All relit true pictures by condition and pose; empty if the data set has none.
 
-    ``dataset.json`` lists folders and their levels under ``relit``; without that list each folder
-    ``relit/level_0.25`` is of the ambient light, ordered by its level. Raises ``BadValueError``,
+    ``dataset.json`` lists folders and their levels under ``relit``; without that list they go by their names,
+    in which ``level`` is the ambient light's. Raises ``BadValueError``,
     ``FileDamagedError`` and ``FileMissingError`` for an invalid folder, level or file name.
     """
     root = Path(root)
@@ -127,18 +127,19 @@ def relit_truth(root: Path) -> list[RelitTruth]:
 
 
 def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
-    """The folders ``relit/level_0.25`` and their ambient levels, rising."""
+    """The folders ``relit/level_0.25``, ``relit/pendant_0`` and their levels, fewest lights first."""
     found = []
-    for folder in (root / data_set.RELIT_FOLDER).glob("level_*"):
-        levels = data_set.mixture_levels(folder.name)
-        level = levels.get(AMBIENT, -1.0)
-        if len(levels) != 1 or not 0.0 <= level < math.inf:
+    for name in data_set.mixture_folders(root):
+        levels = data_set.mixture_levels(name)
+        if not levels or not all(0.0 <= level < math.inf for level in levels.values()):
             raise BadValueError(
-                f"{folder} does not name a lighting level", "Rename it to level_0.25 and so on, or remove it."
+                f"{root / name} does not name lighting levels",
+                "Rename it to level_0.25, pendant_0 and so on, or remove it.",
             )
-        check_level(level, f"{folder}: its lighting level")
-        found.append((folder, {AMBIENT: level}))
-    return sorted(found, key=lambda condition: condition[1][AMBIENT])
+        for light, level in levels.items():
+            check_level(level, f"{root / name}: the level of {light}")
+        found.append((root / name, levels))
+    return sorted(found, key=lambda condition: (len(condition[1]), *condition[1].items()))
 
 
 def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None:

@@ -2,27 +2,32 @@
 """Gives a data set that ``physhdr prepare`` made of a rendered capture the true radiance of its test views.
 
     .venvs/backend/bin/python lab/tools/capture_truth.py DATA CAPTURE FOLDER
+    .venvs/backend/bin/python lab/tools/capture_truth.py DATA CAPTURE FOLDER \\
+        --relit pendant=0 pendant=4 pendant=0,daylight=4 --called daylight=ambient
 
 DATA was prepared from FOLDER/photos, which ``take_photos.py`` took of CAPTURE. ``DATA/test_hdr`` then has
 what ``physhdr evaluate`` compares the radiance with: the renders, bent back by the lens that was *found*, as
 the test pictures beside them were, so that both show the same thing at each pixel. Scale and colour
 balance of photographs are unknown: the figure to look at is the one whose scale is aligned.
+``DATA/relit`` has the same views under other levels of the lights, by the names that DATA has for them.
 """
 
 import argparse
 import re
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pycolmap
 
-from physhdr.bridge.data_set import CAPTURE_FILE
+from physhdr.bridge.data_set import CAPTURE_FILE, mixture_folder
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.synth import exr, folder
 from physhdr.synth.capture import Capture, opened
 from physhdr.synth.errors import DamagedFileError
+from physhdr.synth.photos import STANDARD
 
 #: Samples of the render a pixel, in each direction: the mean over its area.
 OVER = 3
@@ -35,9 +40,15 @@ def main() -> int:
     parser.add_argument("data", type=Path)
     parser.add_argument("capture", type=Path)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--relit", nargs="*", default=[], metavar="LIGHT=LEVEL,…")
+    parser.add_argument(
+        "--called", nargs="*", default=[], metavar="LIGHT=LIGHT", help="DATA's name=the capture's"
+    )
     given = parser.parse_args()
     try:
-        for line in attach(given.data, opened(given.capture), given.folder):
+        relit = [_levels(mixture) for mixture in given.relit]
+        called = dict(pair.split("=", 1) for pair in given.called)
+        for line in attach(given.data, opened(given.capture), given.folder, relit, called):
             print(line)
     except PhysHDRError as error:
         sys.stderr.write(f"error: {error.message}{': ' + error.hint if error.hint else ''}\n")
@@ -45,13 +56,28 @@ def main() -> int:
     return 0
 
 
-def attach(data: Path, capture: Capture, photos: Path) -> list[str]:
-    """Write the truth; what was written, a line each. Raises ``DamagedFileError``, ``OutputFolderError``."""
+def _levels(mixture: str) -> dict[str, float]:
+    """Of ``pendant=0,daylight=4``."""
+    return {light: float(level) for light, level in (word.split("=") for word in mixture.split(","))}
+
+
+def attach(
+    data: Path,
+    capture: Capture,
+    photos: Path,
+    relit: Sequence[Mapping[str, float]] = (),
+    called: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Write the truth; what was written, a line each. Raises ``DamagedFileError``, ``OutputFolderError``.
+
+    ``relit``: levels of each further picture of a test view, by the names that ``data`` has for the lights;
+    ``called``: where these are others than the capture's.
+    """
     told = folder.read_json(data / CAPTURE_FILE)
-    place_of = {
-        photo["file"]: photo["place"]
-        for photo in folder.read_json(photos / "truth" / "photos.json")["photos"]
-    }
+    taken = {photo["file"]: photo for photo in folder.read_json(photos / "truth" / "photos.json")["photos"]}
+    of_capture = {light: light for light in capture.lights} | dict(called or {})
+    in_data = {light: name for name, light in of_capture.items()}
+    standard = next(photo["levels"] for photo in taken.values() if photo["folder"] == STANDARD)
     places = {place.name: place for place in capture.places}
     lens = _lens(told["lens"], capture)
     model = pycolmap.Reconstruction(str(data / "sparse" / "0"))
@@ -59,14 +85,18 @@ def attach(data: Path, capture: Capture, photos: Path) -> list[str]:
     said = []
     for picture, camera in sorted(pinholes.items()):
         match = NAMED.fullmatch(picture)
-        if match is None:
+        photo = taken[Path(told["sources"][picture]).name]
+        if match is None or photo["folder"] != STANDARD:
             continue
-        photo = told["sources"][picture]
-        radiance = capture.passes(places[place_of[photo]]).radiance({})
-        seen = _straightened(radiance, lens, camera)
-        path = data / "test_hdr" / f"hdr_{int(match[1]):03d}.exr"
-        folder.write(path, exr.encode_rgb(seen))
-        said.append(f"{path}: {place_of[photo]}")
+        passes, name = capture.passes(places[photo["place"]]), f"hdr_{int(match[1]):03d}.exr"
+        pictures = {"test_hdr": standard}
+        for changed in relit:
+            levels = {**standard, **{of_capture[light]: level for light, level in changed.items()}}
+            pictures[mixture_folder({in_data[light]: level for light, level in levels.items()})] = levels
+        for kind, levels in pictures.items():
+            seen = _straightened(passes.radiance(levels), lens, camera)
+            folder.write(data / kind / name, exr.encode_rgb(seen))
+            said.append(f"{data / kind / name}: {photo['place']}")
     if not said:
         raise DamagedFileError(f"'{data}' has no test pictures: prepare it with --test-every 8")
     return said

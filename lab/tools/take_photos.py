@@ -4,16 +4,21 @@
     .venvs/backend/bin/python lab/tools/take_photos.py CAPTURE --out FOLDER --bracket=-4,-2,0,2,4 \\
         --iso 800 --exposure-jitter 0.2 --white-balance-jitter 0.1 --vignetting 1
     .venvs/backend/bin/python lab/tools/take_photos.py CAPTURE --out FOLDER --auto-exposure --format dng
+    .venvs/backend/bin/python lab/tools/take_photos.py CAPTURE --out FOLDER \\
+        --group "pendant off" pendant=0 8 --group "daylight evening" ambient=0.2 8
 
 FOLDER gets ``photos/`` with EXIF, for ``physhdr prepare``; ``truth/``: ``sparse/0`` with the true lens and
 cameras (``physhdr prepare FOLDER/photos --poses FOLDER/truth``), and ``photos.json``, what each photo truly
 is; and ``transforms.json``: FOLDER itself as nerfstudio has it, distorted. Photos of places for testing have
-no fault. The same options give the same bytes; what is there is not made again.
+no fault. Each ``--group`` is one more round of photos, of as many places for training as it says, under other
+levels of the capture's lights, in a folder beside ``photos/``. The same options give the same bytes; what is
+there is not made again.
 """
 
 import argparse
 import io
 import json
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -26,7 +31,7 @@ from physhdr.synth import camera_model, folder, photos, tiff, true_model
 from physhdr.synth.camera_model import CameraModel
 from physhdr.synth.capture import Capture, Place, opened
 from physhdr.synth.errors import ConflictError, DamagedFileError, OptionError
-from physhdr.synth.photos import Photo
+from physhdr.synth.photos import Group, Photo
 from physhdr.synth.response import Response, by_name
 
 #: Format → the suffix of its files.
@@ -68,6 +73,20 @@ def _parser() -> argparse.ArgumentParser:
     add("--crf", default="filmic", help="the response, of all but raw files: a name, or the file of a curve")
     add("--seed", type=int, default=0)
     add("--every", type=int, default=1, metavar="N", help="only each N-th place that is not for testing")
+    add(
+        "--group",
+        nargs=3,
+        action="append",
+        default=[],
+        metavar=("FOLDER", "LIGHT=LEVEL,…", "PLACES"),
+        help="photos under other light",
+    )
+    add(
+        "--standard",
+        default="",
+        metavar="LIGHT=LEVEL,…",
+        help="of photos/, where it is not 1: a lamp that is on in its group alone",
+    )
     add("--partial", action="store_true", help="places that are not rendered yet are left out")
     camera_model.add_arguments(made)
     return made
@@ -81,28 +100,33 @@ def _take(given: argparse.Namespace) -> None:
     capture, response = opened(given.capture), by_name(given.crf)
     evs = None if given.auto_exposure else _evs(given.bracket)
     places = _places(given, capture)
+    rounds = _rounds(given, capture, places)
     _enter(given, model, response, capture, places)
-    # Each place is read twice: once for its meter, once for its photos, so that memory holds one.
-    meters = [photos.metered(capture.passes(place).radiance({}), given.metering) for place in places]
-    planned = photos.plan(places, meters, evs, model, given.seed)
+    planned: list[Photo] = []
+    for group, chosen in rounds:
+        # Each place is read once for its meter, and again for its photos, so that memory holds one.
+        lit = (capture.passes(place).radiance(group.levels) for place in chosen)
+        meters = [photos.metered(radiance, given.metering) for radiance in lit]
+        planned += photos.plan(chosen, meters, evs, model, given.seed, group, planned)
     suffix = SUFFIXES[given.format]
     views = []
     for place in places:
         passes = capture.passes(place)
-        radiance = passes.radiance({})
         taken = [photo for photo in planned if photo.place is place]
         for photo in taken:
-            path = given.out / "photos" / f"{photo.name}{suffix}"
+            path = given.out / photo.folder / f"{photo.name}{suffix}"
             if not path.exists():
+                radiance = passes.radiance(photo.levels)
                 folder.write(path, _encoded(given, photo, radiance, response, capture, model))
-        middle = taken[len(taken) // 2]
-        ideal = photos.developed(_ideal(middle), radiance, response)
+        standard = [photo for photo in taken if photo.folder == photos.STANDARD]
+        middle = standard[len(standard) // 2]
+        ideal = photos.developed(_ideal(middle), passes.radiance(middle.levels), response)
         count = true_model.POINTS // len(places)
         points = true_model.visible_points(place, passes, ideal, capture.lens, count, given.seed)
         views.append((f"{middle.name}{suffix}", place, points))
         print(f"{place.name}: {', '.join(photo.name for photo in taken)}", flush=True)
     true_model.write(given.out / "truth", capture.lens, views)
-    names = {photo: f"photos/{photo.name}{suffix}" for photo in planned}
+    names = {photo: f"{photo.folder}/{photo.name}{suffix}" for photo in planned}
     folder.write_json(given.out / "transforms.json", photos.transforms(planned, names, capture.lens))
     told = folder.read_json(given.out / "truth" / TRUTH_FILE)
     told["photos"] = [photos.describe(photo, suffix) for photo in planned]
@@ -119,6 +143,43 @@ def _evs(text: str) -> list[float]:
     return evs
 
 
+def _rounds(
+    given: argparse.Namespace, capture: Capture, places: list[Place]
+) -> list[tuple[Group, list[Place]]]:
+    """Each group and the places where it is photographed, the standard light first.
+
+    Raises ``OptionError`` where ``--group`` or ``--standard`` names no light, level or number of places.
+    """
+    standard = _levels(given.standard, capture.lights)
+    training = [place for place in places if not place.test]
+    rounds = [(Group(levels=standard), places)]
+    for name, levels, count in given.group:
+        if not (count.isdecimal() and 1 <= int(count) <= len(training)):
+            raise OptionError(f"--group '{name}': {count} places; there are {len(training)} for training")
+        if name in ("", "truth") or Path(name).name != name or name in (group.folder for group, _ in rounds):
+            raise OptionError(f"--group '{name}': give each a folder's name of its own")
+        # Groups do not share their places, as far as there are enough.
+        step = len(training) / int(count)
+        shift = step * ((len(rounds) * 0.38) % 1.0)
+        chosen = [training[int(shift + k * step)] for k in range(int(count))]
+        rounds.append((Group(name, {**standard, **_levels(levels, capture.lights)}), chosen))
+    return rounds
+
+
+def _levels(text: str, lights: tuple[str, ...]) -> dict[str, float]:
+    """``pendant=0,ambient=0.2``; raises ``OptionError``."""
+    found = {}
+    for word in filter(None, text.split(",")):
+        light, _, level = word.partition("=")
+        try:
+            found[light] = float(level)
+        except ValueError as error:
+            raise OptionError(f"'{word}': write LIGHT=LEVEL, as pendant=0") from error
+        if light not in lights or not 0.0 <= found[light] < math.inf:
+            raise OptionError(f"'{word}': the capture has the lights {', '.join(lights)}, at levels from 0")
+    return found
+
+
 def _enter(
     given: argparse.Namespace, model: CameraModel, response: Response, capture: Capture, places: list[Place]
 ) -> None:
@@ -133,7 +194,10 @@ def _enter(
         "bracket": None if given.auto_exposure else given.bracket,
         "camera": asdict(model),
         "response": response.describe(),
-        **{name: getattr(given, name) for name in ("metering", "format", "quality", "seed", "every")},
+        **{
+            name: getattr(given, name)
+            for name in ("metering", "format", "quality", "seed", "every", "group", "standard")
+        },
     }
     path = given.out / "truth" / TRUTH_FILE
     asked = json.loads(json.dumps(asked))

@@ -46,18 +46,19 @@ def pose_on_an_arc(angle: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory) -> Capture:
-    """Nine places of patches in various colours, a wall 2 m away."""
+    """Nine places of patches in various colours, a wall 2 m away; a pendant lights the left half."""
     root = tmp_path_factory.mktemp("capture") / "patches"
     places = tuple(Place(k, pose_on_an_arc(0.1 * (k - 4)), k == 4) for k in range(9))
-    made = Capture(root, {"scene": "patches"}, LENS, LENS.straight, ("ambient",), places)
+    made = Capture(root, {"scene": "patches"}, LENS, LENS.straight, ("ambient", "pendant"), places)
     made.enter()
     dice = np.random.default_rng(3)
     for place in places:
         colours = np.exp2(dice.uniform(-5.0, 3.0, (HEIGHT // PATCH, WIDTH // PATCH, 3)))
         radiance = colours.repeat(PATCH, 0).repeat(PATCH, 1).astype(np.float32)
         flat = np.ones((HEIGHT, WIDTH), np.float32)
+        pendant = 0.75 * radiance * (np.arange(WIDTH) < WIDTH / 2)[None, :, None]
         shown = Passes(
-            {"ambient": radiance},
+            {"ambient": radiance - pendant, "pendant": pendant},
             depth=2.0 * flat,
             normal=np.zeros_like(radiance),
             index=flat,
@@ -120,6 +121,40 @@ def test_faults_are_in_training_photos_and_not_in_those_for_testing(capture, tmp
             assert photo["true_exposure"] != photo["exposure"]
             dark = code[inside].mean() < 0.97 * ideal[inside].mean()
             assert dark or ideal[inside].min() > 250  # two stops are lost in the corner
+
+
+def test_photos_of_a_group_are_under_its_light_and_metered_there(capture, tmp_path):
+    group = (
+        "--group",
+        "pendant off",
+        "pendant=0",
+        "3",
+        "--auto-exposure",
+        "--crf",
+        "srgb",
+        "--quality",
+        "100",
+    )
+    told = take(capture, tmp_path / "out", *group)
+    of_group = [photo for photo in told if photo["folder"] == "pendant off"]
+    assert len(told) == 9 + 3 and len({photo["file"] for photo in told}) == len(told)
+    assert len({photo["place"] for photo in of_group}) == 3 and not any(p["test"] for p in of_group)
+    for photo in of_group:
+        assert photo["levels"] == {"pendant": 0.0}
+        place = next(place for place in capture.places if place.name == photo["place"])
+        light = capture.passes(place).lights["ambient"].astype(np.float64) * photo["exposure"]
+        ideal = 255 * np.where(
+            light <= 0.0031308, 12.92 * light, 1.055 * np.minimum(light, 1) ** (1 / 2.4) - 0.055
+        )
+        with Image.open(tmp_path / "out" / "pendant off" / photo["file"]) as picture:
+            code = np.asarray(picture).astype(np.float64)
+        for x in (8, 68):
+            inside = (slice(8, 12), slice(x, x + 4))  # of a patch, where JPEG has no edge
+            assert code[inside].mean((0, 1)) == pytest.approx(ideal[inside].mean((0, 1)), abs=2.5)
+        standard = next(p for p in told if p["place"] == photo["place"] and p["folder"] == "photos")
+        assert photo["exposure"] > standard["exposure"]  # the camera sees that it is darker
+    frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
+    assert [frame.get("lighting_levels") for frame in frames][-4:] == [None, *[{"pendant": 0.0}] * 3]
 
 
 @pytest.mark.parametrize("mosaic", [False, True])
@@ -245,16 +280,22 @@ def test_truth_is_bent_back_as_the_pictures_were(capture, tmp_path):
         str(data),
         str(capture.root),
         str(tmp_path / "out"),
+        *("--relit", "lamp=0", "--called", "lamp=pendant"),
     ]
     done = subprocess.run(script, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
     import OpenEXR
 
-    channels = OpenEXR.File(str(data / "test_hdr" / "hdr_004.exr")).channels()
-    truth = np.asarray(channels["RGB"].pixels) if "RGB" in channels else None
-    assert truth is not None and truth.shape == (40, 60, 3)
+    def shown(name: str) -> np.ndarray:
+        channels = OpenEXR.File(str(data / name / "hdr_004.exr")).channels()
+        return np.asarray(channels["RGB"].pixels)
+
+    truth, relit = shown("test_hdr"), shown("relit/lamp_0")
+    assert truth.shape == relit.shape == (40, 60, 3)
     light = radiance(capture, told[4])
+    assert relit[:, :24] == pytest.approx(0.25 * truth[:, :24], rel=1e-4)
+    assert relit[:, 36:] == pytest.approx(truth[:, 36:], rel=1e-5)
     for x, y in ((4, 4), (24, 24), (55, 36), (55, 4)):
         a, b = (x + 0.5 - 30) / 66, (y + 0.5 - 20) / 66
         r2 = a * a + b * b

@@ -608,6 +608,28 @@ def test_missing_truth_of_one_view(data_set: Path, small: ModuleType) -> None:
         evaluate(Oracle(small), read_scene(data_set))
 
 
+def test_relit_photographs_are_at_the_scale_of_the_standard_views(data_set: Path, small: ModuleType) -> None:
+    """Where the unit of radiance is free, it costs no dB under other light either."""
+    off = evaluate(Oracle(small, scale=1.1), read_scene(data_set)).relit
+    (data_set / "prepare.json").write_text(json.dumps({"format": "physhdr-capture"}))
+    aligned = evaluate(Oracle(small, scale=1.1), read_scene(data_set)).relit
+    exact = evaluate(Oracle(small), read_scene(data_set)).relit
+    assert [row.ours for row in aligned] == pytest.approx([row.ours for row in exact])
+    assert [row.scaled_ours for row in aligned] == pytest.approx([row.scaled_ours for row in exact], abs=0.1)
+    assert all(mine.ours < right.ours for mine, right in zip(off, exact, strict=True))
+
+
+def test_folders_of_relit_truth_go_by_their_names_where_nothing_lists_them(tmp_path: Path) -> None:
+    for name in ("pendant_4", "level_0.25", "ambient_0.2+pendant_0"):
+        (tmp_path / "relit" / name).mkdir(parents=True)
+        (tmp_path / "relit" / name / "hdr_003.exr").touch()
+    assert [(item.levels, item.index) for item in truth.relit_truth(tmp_path)] == [
+        ({"ambient": 0.25}, 3),
+        ({"pendant": 4.0}, 3),
+        ({"ambient": 0.2, "pendant": 0.0}, 3),
+    ]
+
+
 def test_damaged_relit_truth(data_set: Path, small: ModuleType) -> None:
     (data_set / "relit" / "level_4" / "hdr_003.exr").write_bytes(b"v/1\x01 nothing")
     with pytest.raises(FileDamagedError, match=r"level_4/hdr_003.exr is not a readable OpenEXR"):
@@ -616,7 +638,7 @@ def test_damaged_relit_truth(data_set: Path, small: ModuleType) -> None:
 
 def test_relit_names_that_mean_nothing(data_set: Path, small: ModuleType) -> None:
     shutil.copytree(data_set / "relit" / "level_4", data_set / "relit" / "level_bright")
-    with pytest.raises(BadValueError, match=r"level_bright does not name a lighting level\n.*Rename"):
+    with pytest.raises(BadValueError, match=r"level_bright does not name lighting levels\n.*Rename"):
         evaluate(Oracle(small), read_scene(data_set))
     shutil.rmtree(data_set / "relit" / "level_bright")
     path = data_set / "relit" / "level_4" / "hdr_003.exr"
