@@ -13,6 +13,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.regular import resolved
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
+from ..evaluate.linearity import Linearity
 from ..evaluate.photos import Falloff, falloff_there
 from ..evaluate.picture_folder import PictureFolder
 from ..evaluate.protocol import evaluate, lpips_from
@@ -109,7 +110,7 @@ class Evaluate:
             **subject.parts,
         )
         write_png(out / SHEET_FILE, picture)
-        _plot_response(subject, out / RESPONSE_FILE, self.split, say)
+        _plot_response(subject, out / RESPONSE_FILE, self.split, evaluation.linearity, say)
         if self.confidence:
             assert subject.run is not None  # pictures have none: _subject refused
             table = write_calibration(subject.run, self.split, out)
@@ -188,13 +189,13 @@ def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | Non
     return _Subject(pictures.folder, names, scene, pictures, exposure_mode or "unknown", parts=parts)
 
 
-def _plot_response(subject: _Subject, path: Path, split: str, say: Say) -> None:
-    """Plot the response curve, if there is one and the package is installed."""
+def _plot_response(subject: _Subject, path: Path, split: str, linearity: Linearity | None, say: Say) -> None:
+    """Plot a learned response, and how linear radiance is, if the package for figures is installed."""
     learned = learned_response(subject.renderer)
     if learned is None:
         return
     try:
-        write_response_figure(path, learned, subject.scene, split)
+        write_response_figure(path, learned, subject.scene, split, linearity)
     except PackageMissingError as error:
         say(Text(f"skipping {path.name}: {error}", style="yellow"))
 

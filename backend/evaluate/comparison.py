@@ -108,8 +108,9 @@ METRICS: dict[str, tuple[str, int, Better]] = {
     "lpips": ("LPIPS", 4, "lower"),
     "lpips_01": ("LPIPS 01", 4, "lower"),
 }
-#: The absolute scale of the radiance: its mean, in which errors may cancel, and its error.
-SCALE = ("scale", "scale_error")
+#: The absolute scale of the radiance: its mean, in which errors may cancel, its error, and whether it is the
+#: same for dark and bright.
+SCALE = ("scale", "scale_error", "slope")
 #: Default columns: the paper's, and whether the scale is right.
 PAPER_METRICS = tuple(
     f"{part}.{metric}" for part in ("LDR-OE", "LDR-NE", "HDR") for metric in ("psnr", "ssim", "lpips_01")
@@ -138,6 +139,8 @@ class Column:
             value = entry.evaluation.get("scale_ratio")
         elif self.key == "scale_error":
             value = _percent_off(entry.evaluation.get("scale_ratio"))
+        elif self.key == "slope":
+            value = (entry.evaluation.get("linearity") or {}).get("slope")
         elif self.key == "response":
             value = (entry.evaluation.get("response") or {}).get("rms_error")
         elif part == "cost":
@@ -178,6 +181,8 @@ def column(key: str) -> Column:
         return Column(key, "HDR scale", 3, "neither")
     if key == "scale_error":
         return Column(key, "scale off by, %", 1, "lower")
+    if key == "slope":
+        return Column(key, "HDR slope", 3, "neither")
     if key == "response":
         return Column(key, "response error, 1/255", 2, "lower")
     if key == "relit.psnr":
@@ -189,7 +194,7 @@ def column(key: str) -> Column:
     raise BadValueError(
         f"comparisons have no column '{key}'",
         f"Choose PART.METRIC, of {', '.join(PARTS)} and {', '.join(METRICS)}; "
-        "scale, scale_error, response, relit.psnr, relit.gain or cost.NAME.",
+        "scale, scale_error, slope, response, relit.psnr, relit.gain or cost.NAME.",
     )
 
 

@@ -23,6 +23,7 @@ from ...bridge.data_set import HELD_OUT, TEST, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError
 from ..scene.scene import Scene, View
 from . import truth
+from .linearity import Values, compared_values, linearity
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, averaged_to, display, hdr_normaliser, hdr_shown, quantise, scale_ratio
 from .photos import Falloff, falloff_there, fitted_photos, no_falloff
@@ -108,6 +109,7 @@ def evaluate(
         fitted = fitted_photos(renderer, views, falloff, step)
         messages += [] if fitted is None else [str(fitted)]
     hdr_rows: list[HdrRow] = []
+    standard: dict[int, _StandardView] = {}
     relit_rows: list[RelitRow] = []
     if hdr and truth.has_hdr_truth(scene.root, split):
         standard = _standard_views(renderer, scene, split, step)
@@ -144,6 +146,7 @@ def evaluate(
         iterations=iterations,
         eight_bit=all_of_eight_bits(views),
         falloff_used=falloff_used,
+        linearity=linearity([_compared(each) for each in standard.values()]),
     )
 
 
@@ -300,6 +303,10 @@ def _standard_views(renderer: Renderer, scene: Scene, split: str, step: _Steps) 
     return views
 
 
+def _compared(each: _StandardView) -> Values:
+    return compared_values(each.prediction, each.truth, each.mask)
+
+
 def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, published: bool) -> list[HdrRow]:
     def measured(each: _StandardView, prediction: torch.Tensor) -> Metrics:
         return radiance_pair(prediction, each.truth, each.mask, published=published).metrics(lpips)
@@ -313,7 +320,9 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, publis
         metrics = measured(each, each.prediction)
         aligned = measured(each, each.prediction / common if common else each.prediction)
         normaliser = hdr_normaliser(each.truth)
-        rows.append(HdrRow(each.view.name, each.view.index, normaliser, ratio, metrics, aligned))
+        own = linearity([_compared(each)])
+        slope = math.nan if own is None else own.slope
+        rows.append(HdrRow(each.view.name, each.view.index, normaliser, ratio, metrics, aligned, slope))
     return rows
 
 

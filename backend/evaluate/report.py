@@ -58,6 +58,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "vignetting": evaluation.falloff_used,
         },
         "scale_ratio": evaluation.scale_ratio,
+        "linearity": evaluation.linearity and dataclasses.asdict(evaluation.linearity),
         "response": evaluation.response and dataclasses.asdict(evaluation.response),
         "means": {name: metrics and dataclasses.asdict(metrics) for name, metrics in _means(evaluation)},
         "relit_means": {
@@ -105,6 +106,7 @@ def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
 def to_csv(evaluation: Evaluation) -> str:
     """One line per comparison, for spreadsheets: its labels, then its numbers."""
     columns = ["part", "view", "index", "exposure_index", "exposure", "light", "normaliser", "scale_ratio"]
+    columns += ["slope"]
     columns += ["psnr", "ssim", "lpips", "lpips_01", "psnr_scaled_truth", "psnr_scaled_ours"]
     columns += ["psnr_best_scaled_truth", "factor", "best_factor"]
     stream = io.StringIO()
@@ -115,7 +117,7 @@ def to_csv(evaluation: Evaluation) -> str:
         writer.writerow({"part": "ldr"} | content.pop("metrics") | content)
     for row in evaluation.hdr:
         shared = {"view": row.view, "index": row.index, "normaliser": row.normaliser}
-        shared["scale_ratio"] = row.scale_ratio
+        shared |= {"scale_ratio": row.scale_ratio, "slope": row.slope}
         writer.writerow({"part": "hdr"} | shared | dataclasses.asdict(row.metrics))
         writer.writerow({"part": "hdr aligned"} | shared | dataclasses.asdict(row.aligned))
     for row in evaluation.relit:
@@ -199,6 +201,8 @@ def conditions(evaluation: Evaluation) -> list[str]:
         )
     if ratio is not None:
         lines.append(f"HDR scale ratio (median of prediction / truth, median over views): {ratio:.4f}")
+    if evaluation.linearity is not None:
+        lines.append(str(evaluation.linearity))
     if evaluation.response is not None:
         lines.append(str(evaluation.response))
     if evaluation.relit:
@@ -258,6 +262,7 @@ def _view_table(evaluation: Evaluation) -> tuple[tuple[str, ...], list[tuple[str
             cells = [_cell(getattr(getattr(view, name), metric, None), digits) for view in views]
             columns.append((f"{part} {heading}", cells))
     columns.append(("HDR scale", [_cell(view.scale_ratio, 3) for view in views]))
+    columns.append(("HDR slope", [_cell(view.slope, 3) for view in views]))
     columns = [(heading, cells) for heading, cells in columns if any(cell != NONE for cell in cells)]
     rows = [(view.view, *(cells[i] for _, cells in columns)) for i, view in enumerate(views)]
     return ("view", *(heading for heading, _ in columns)), rows

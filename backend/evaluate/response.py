@@ -22,6 +22,7 @@ from ..optional import needed
 from ..scene.encoding import eight_bits
 from ..scene.scene import Scene
 from . import truth
+from .linearity import Linearity
 from .metrics import averaged_to
 from .renderer import Renderer
 from .results import VIEWS_OF, ResponseCheck
@@ -186,10 +187,13 @@ def check_response(learned: Curve, true: Curve | None) -> ResponseCheck:
     return ResponseCheck(largest_fall, max(rms), max(largest), scale)
 
 
-def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str = TEST) -> ResponseCheck:
+def write_response_figure(
+    path: Path, learned: Curve, scene: Scene, split: str = TEST, linearity: Linearity | None = None
+) -> ResponseCheck:
     """Plot the learned response of each channel, the true one and the anchor into ``path`` (.png).
 
-    ``split``: measures the true one.
+    ``split``: measures the true one. ``linearity``: plotted below, because a wrong response and
+    wrong radiance hide each other in the pictures.
     Returns the check. Raises ``PackageMissingError`` without matplotlib, ``OutputError``, and what reading
     the data set raises.
     """
@@ -197,10 +201,11 @@ def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str =
     true = true_response(scene, learned, split)
     check = check_response(learned, true)
     measured = measured_response(scene, split)
-    figure = figures.Figure(figsize=(7.2, 4.4 if true is None else 5.8), dpi=150, layout="constrained")
-    heights = (1,) if true is None else (3, 1)
-    panels = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
-    upper = panels[0, 0]
+    heights = [3.0, *([1.0] if true is not None else []), *([1.2] if linearity is not None else [])]
+    figure = figures.Figure(figsize=(7.2, 1.4 + 1.1 * sum(heights)), dpi=150, layout="constrained")
+    panels = figure.subplots(len(heights), squeeze=False, height_ratios=heights)
+    curves = panels[: 1 if true is None else 2, 0]
+    upper = curves[0]
     if measured is not None:
         upper.plot(measured.exposure, measured.code, ".", color="0.72", ms=3.5, zorder=1)
         upper.plot([], [], ".", color="0.72", label=f"the data: median code in the {VIEWS_OF[split]}")
@@ -210,26 +215,40 @@ def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str =
         upper.plot(learned.exposure, learned.code[:, c], color=colour, lw=1.6, label=f"learned, {name}")
         if true is not None:
             error = np.interp(true.exposure, learned.exposure, learned.code[:, c]) - true.code[:, c]
-            panels[1, 0].plot(true.exposure, 255.0 * error, color=colour, lw=1.2)
+            curves[1].plot(true.exposure, 255.0 * error, color=colour, lw=1.2)
     if scene.response_anchor is not None:
         exposure, code = scene.response_anchor
         label = f"anchor: {code:.3f} at {exposure:g}"
         upper.plot([exposure], [code], "*", color="#e0a000", mec="black", ms=13, label=label, zorder=5)
-    upper.set_xscale("log", base=2)
-    upper.set_xlim(*_shown(learned, measured))
+    for axes in curves:
+        axes.set_xscale("log", base=2)
+        axes.set_xlim(*_shown(learned, measured))
     upper.set_ylim(-0.02, 1.02)
     upper.set_ylabel("code value (8-bit pixel / 255)")
     if true is not None:
-        panels[1, 0].axhline(0.0, color="black", lw=0.8)
-        panels[1, 0].set_ylabel("learned − true\n(1/255)")
+        curves[1].axhline(0.0, color="black", lw=0.8)
+        curves[1].set_ylabel("learned − true\n(1/255)")
     upper.set_title(scene.name + "\n" + str(check).replace("; ", "\n", 1), fontsize=8, loc="left")
     upper.legend(fontsize=8, loc="upper left")
     for axes in panels[:, 0]:
         axes.grid(alpha=0.25)
-    panels[-1, 0].set_xlabel("exposure × radiance (seconds × scene-linear units, absolute)")
+    curves[-1].set_xlabel("exposure × radiance (seconds × scene-linear units, absolute)")
+    if linearity is not None:
+        _plot_ratios(panels[-1, 0], linearity)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
     return check
+
+
+def _plot_ratios(axes: Any, linearity: Linearity) -> None:
+    ratios = [each.ratio for each in linearity.bins]
+    axes.plot([each.truth for each in linearity.bins], ratios, "o-", color="0.2")
+    axes.axhline(1.0, color="black", lw=0.8)
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log", base=2)
+    axes.set_ylim(min(0.5, *ratios), max(2.0, *ratios))
+    axes.set_ylabel("prediction / truth")
+    axes.set_xlabel(f"true radiance; slope {linearity.slope:.3f}")
 
 
 def _shown(learned: Curve, measured: Curve | None) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.lights import in_words
+from .linearity import Linearity
 from .metrics import MU
 
 #: Exposure indices of the paper's two columns: those seen in training, and those between.
@@ -44,7 +45,7 @@ class LdrRow:
 class HdrRow:
     """One view: M, its own median scale ratio, the metrics without and with the scale aligned.
 
-    The ratio is NaN if all of the compared truth is black.
+    The ratio is NaN if all of the compared truth is black. ``slope``: ``Linearity.slope`` of this view.
     """
 
     view: str
@@ -53,6 +54,7 @@ class HdrRow:
     scale_ratio: float
     metrics: Metrics
     aligned: Metrics
+    slope: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ class ViewMeans:
     ldr_ne: Metrics | None
     hdr: Metrics | None
     scale_ratio: float | None
+    slope: float | None
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,7 @@ class Evaluation:
     eight_bit: bool = True
     training_exposures: tuple[int, ...] | None = None
     falloff_used: bool = False
+    linearity: Linearity | None = None
 
     def ldr_mean(self, part: str) -> Metrics | None:
         """Mean over the views for each exposure, then over those of ``part``; None if there are none."""
@@ -254,6 +258,7 @@ class Evaluation:
                 over(rows, NOVEL),
                 hdr[index].metrics if index in hdr else None,
                 hdr[index].scale_ratio if index in hdr else None,
+                hdr[index].slope if index in hdr else None,
             )
             for index, rows in by_pose.items()
         ]
