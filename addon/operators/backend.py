@@ -11,9 +11,9 @@ from ...bridge.messages import ControlTake, Shutdown
 from .. import settings
 from ..blender import layout_of
 from ..paths import ROOT
-from ..runtime import session
+from ..runtime import redraw, session
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
-from ..session.state import CHECK, INSTALL, Dismissed
+from ..session.state import CHECK, INSTALL, Dismissed, MadeDismissed
 from ..session.tasks import TASKS
 from .base import PhysHDROperator, follow_task
 
@@ -99,7 +99,8 @@ def install(operator: PhysHDROperator, python: Path, how: list[str], wait: bool,
     current = session()
     command = [str(python), str(INSTALL_SCRIPT), "--target", str(current.home)]
     command += ["--launcher", str(current.launcher), *how]
-    current.start_task(INSTALL, command, current.home / "install.log", current.environment())
+    log, home = current.home / "install.log", str(current.home)
+    current.start_task(INSTALL, command, log, current.environment(), makes=home)
     if not wait:
         return {"FINISHED"}
     return follow_task(operator, INSTALL, INSTALL_SECONDS, success)
@@ -241,6 +242,19 @@ class PHYSHDR_OT_problem_dismiss(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class PHYSHDR_OT_made_dismiss(bpy.types.Operator):
+    """I have seen what was made; nothing on disk is changed"""
+
+    bl_idname = "physhdr.made_dismiss"
+    bl_label = "Dismiss"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        session().dispatch(MadeDismissed())
+        redraw()
+        return {"FINISHED"}
+
+
 _CLASSES = (
     PHYSHDR_OT_backend_install,
     PHYSHDR_OT_backend_extend,
@@ -251,5 +265,6 @@ _CLASSES = (
     PHYSHDR_OT_control_take,
     PHYSHDR_OT_log_open,
     PHYSHDR_OT_problem_dismiss,
+    PHYSHDR_OT_made_dismiss,
 )
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

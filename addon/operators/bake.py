@@ -26,7 +26,7 @@ from ..model.origin import data_of
 from ..paths import whole
 from ..runtime import session
 from ..session.results import BAKE, bake_command, why_not_on_run
-from ..session.state import NotTaken, Problem
+from ..session.state import NotTaken, Problem, TaskMade
 from .afterwards import take_when_ended
 from .base import report_task, wait_for_task
 
@@ -181,6 +181,7 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
             try:
                 if baking.fitted.is_file():  # not where it failed, or was cancelled
                     baking.take()
+                    session().dispatch(TaskMade(BAKE, str(baking.path)))
             except PhysHDRError as error:
                 session().dispatch(NotTaken(Problem(error.message, error.hint)))
             finally:

@@ -27,7 +27,7 @@ from ..model.drawn import drawn_of, drawn_of_file
 from ..model.look import cleaning_of, is_model, models_among
 from ..runtime import session
 from ..session.light import LIGHT, panorama_command
-from ..session.state import CHECK, INSTALL, NotTaken, Problem
+from ..session.state import CHECK, INSTALL, NotTaken, Problem, TaskMade
 from .afterwards import scene_of, take_when_ended
 from .base import LINKED, OVERRIDE, wait_for_task
 
@@ -440,6 +440,7 @@ def _draw_all(source: str, after: After, tasks: Sequence[Task], left: Sequence[S
                 _draw_all(source, after, there, rest)
                 return False
             after.apply(there)
+            session().dispatch(TaskMade(LIGHT, str(_absolute(there[0].folder))))
         except PhysHDRError as error:
             session().dispatch(NotTaken(Problem(error.message, error.hint)))
             return False

@@ -15,7 +15,7 @@ import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT
-from ...bridge.run_folder import WEB_FILE, WEB_FOLDER, WEB_INDEX, data_of, same_folder
+from ...bridge.run_folder import SHEET_FILE, WEB_FILE, WEB_FOLDER, WEB_INDEX, data_of, same_folder
 from ...bridge.shots import write_shots
 from .. import outside
 from ..blender import layout_of
@@ -127,11 +127,12 @@ class _OnRun(PhysHDROperator):
             raise BadValueError(reason)
         return run, moved_data(run, choices(context).data)
 
-    def follow(self, command: list[str], success: str) -> set[str]:
-        """Start the backend's command; in scripts, wait for it and report."""
+    def follow(self, command: list[str], makes: Path, success: str) -> set[str]:
+        """Start the backend's command, which ``makes`` that file or folder; in scripts, wait and report."""
         current = session()
         log = current.home / f"{self.task}.log"
-        current.start_task(self.task, current.backend_command(*command), log, current.environment())
+        command = current.backend_command(*command)
+        current.start_task(self.task, command, log, current.environment(), makes=str(makes))
         return follow_task(self, self.task, WAIT_SECONDS, success) if self.wait else {"FINISHED"}
 
 
@@ -162,7 +163,8 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
                 "Choose in Data Set where it is now: an evaluation compares with its pictures.",
             )
         weights = whole(self.lpips_weights)
-        done = self.follow(evaluate_command(run, data, weights), f"Evaluated {run}")
+        command = evaluate_command(run, data, weights)
+        done = self.follow(command, Path(run) / SHEET_FILE, f"Evaluated {run}")
         if done == {"FINISHED"} and self.wait and (found := evaluation_of(run)):
             for figure in found.figures:
                 self.report({"INFO"}, f"{figure.what}: {figure.words} ({figure.numbers})")
@@ -234,11 +236,11 @@ class PHYSHDR_OT_results_video(_OnRun):
                 "the backend's Python has no package av, which writes MP4",
                 f"Choose WebP or Pictures; or add it: {python} -m pip install av",
             )
-        out = str(self._out(run))
+        out = self._out(run)
         options = self._options(context, run)
-        command = video_command(run, out, options, data)
-        done = self.follow(command, f"Wrote {out}")
-        _made[run] = out
+        command = video_command(run, str(out), options, data)
+        done = self.follow(command, out, f"Wrote {out}")
+        _made[run] = str(out)
         return done
 
     def _out(self, run: str) -> Path:
@@ -328,7 +330,8 @@ class PHYSHDR_OT_results_web(_OnRun):
         out = self._out(run)
         page = out if self.single_file else out / WEB_INDEX
         begun = time.time() - CLOCK_SECONDS
-        done = self.follow(web_command(run, str(out), data, self.single_file), f"Wrote {page}")
+        command = web_command(run, str(out), data, self.single_file)
+        done = self.follow(command, page, f"Wrote {page}")
         _pages[run] = str(page)
         if self.show and done == {"FINISHED"}:
 

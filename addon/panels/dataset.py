@@ -8,7 +8,8 @@ from ..dataset import dataset_dialog
 from ..operators.base import choices
 from ..runtime import session
 from ..session.state import PHOTOS, Photos, Prepared, State
-from .parts import BOX, Subpanel, button, duration, first_line, reasons, shortened, write
+from ..session.tasks import duration
+from .parts import BOX, Subpanel, button, first_line, reasons, shortened, write
 
 
 class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):

@@ -8,8 +8,8 @@ import bpy
 
 from ..operators.base import choices
 from ..session.advice import why_not
-from ..session.state import Problem, State
-from ..session.tasks import TASKS
+from ..session.state import Made, Problem, State
+from ..session.tasks import TITLES, can_be_shown, duration, ended, folder_of, stage
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -83,8 +83,7 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str, lines: int = 
     task = state.task(name)
     if task is None:
         return
-    title = next((title for known, title, _ in TASKS if known == name), name)
-    text = f"{title} {task.fraction:.0%}"
+    text = f"{TITLES[name]} {task.fraction:.0%}"
     if task.seconds_left >= 0.0:
         text += f"   {duration(task.seconds_left)} left"
     column = layout.column(align=True)
@@ -92,9 +91,24 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str, lines: int = 
     row.progress(factor=task.fraction, text="Cancelling" if task.cancelling else text)
     row.operator("physhdr.task_cancel", text="", icon="X").name = name
     if lines:
-        write(bpy.context, column, task.message, lines=lines)
-    elif task.message:
-        column.label(text=first_line(bpy.context, task.message))
+        write(bpy.context, column, stage(task) if task.message or task.pace.quiet else "", lines=lines)
+    elif task.message or task.pace.quiet:
+        column.label(text=first_line(bpy.context, stage(task)))
+
+
+def draw_made(layout: bpy.types.UILayout, made: Made) -> None:
+    """What was made, until that is dismissed or something else is begun; where it is."""
+    column = layout.column(align=True)
+    column.label(text=first_line(bpy.context, ended(made), ICON), icon="CHECKMARK")
+    draw_ways(column.row(align=True), made)
+
+
+def draw_ways(row: bpy.types.UILayout, made: Made) -> None:
+    """The buttons that open what was made or its folder, and the one that dismisses the word."""
+    if can_be_shown(made):
+        row.operator("wm.path_open", text="Open", icon="WINDOW").filepath = made.path
+    row.operator("wm.path_open", text="Open Folder", icon="FILE_FOLDER").filepath = folder_of(made)
+    row.operator("physhdr.made_dismiss", text="", icon="X")
 
 
 def write(
@@ -134,9 +148,9 @@ def text_width(text: str) -> float:
     return SLACK * blf.dimensions(0, text)[0]
 
 
-def first_line(context: bpy.types.Context, text: str) -> str:
-    """As much of a text as one line holds."""
-    lines = wrap(text, room(context) - text_width(" …"))
+def first_line(context: bpy.types.Context, text: str, beside: float = 0.0) -> str:
+    """As much of a text as one line holds; ``beside``: pixels that something else takes of it."""
+    lines = wrap(text, room(context) - beside - text_width(" …"))
     return f"{lines[0]} …" if len(lines) > 1 else "".join(lines)
 
 
@@ -154,15 +168,6 @@ def wrap(text: str, width: float) -> list[str]:
             word = word[fits:]
         lines.append(word)
     return lines
-
-
-def duration(seconds: float) -> str:
-    """``75`` → ``1 min 15 s``."""
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes} min"
-    return f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
 
 
 def shortened(path: str, context: bpy.types.Context, beside: float = 90.0) -> str:

@@ -12,7 +12,8 @@ from ..operators.base import choices, done_in
 from ..runtime import session
 from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import State
-from .parts import BOX, SidebarPanel, draw_problem, draw_task, duration, shortened, write
+from ..session.tasks import duration, stage_of_training
+from .parts import BOX, SidebarPanel, draw_made, draw_problem, draw_task, shortened, write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -57,22 +58,27 @@ class PHYSHDR_PT_train(SidebarPanel, bpy.types.Panel):
 def draw_progress(
     context: bpy.types.Context, layout: bpy.types.UILayout, state: State, is_mine: bool
 ) -> None:
-    """How far what is under way is: a bar and ``PROGRESS_LINES`` lines, empty where nothing is.
+    """How far what is under way is: a bar and ``PROGRESS_LINES`` lines; else what was made last, or nothing.
 
     A training comes first; child processes beside it have bars of their own.
     """
     tasks = [task.name for task in state.tasks]
     job = state.job
     column = layout.column(align=True)
-    if state.active or (job.run and job.iterations and is_mine and not tasks):
+    has_trained = job.run and job.iterations and is_mine
+    if state.active or (has_trained and not tasks and not state.made):
         draw_training(context, column, state)
     elif tasks:
         draw_task(column, state, tasks.pop(0), PROGRESS_LINES)
+    elif state.made:
+        draw_made(column, state.made)
     else:
         column.label(text="")
         write(context, column, "", lines=PROGRESS_LINES)
     for name in tasks:
         draw_task(layout, state, name)
+    if state.made and (state.active or state.tasks):
+        draw_made(layout, state.made)
 
 
 def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state: State) -> None:
@@ -83,12 +89,14 @@ def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state:
         text += f"   {duration(job.seconds_left)} left"
     column.progress(factor=job.iteration / job.iterations if job.iterations else 0.0, text=text)
     if job.state == "preparing":
-        write(context, column, job.message, lines=PROGRESS_LINES)
+        write(context, column, stage_of_training(state), lines=PROGRESS_LINES)
         return
     numbers = [f"{job.gaussians:,} splats"] if job.gaussians else []
     if "PSNR" in job.monitor:
         numbers.insert(0, f"Quality {job.monitor['PSNR']:.2f} dB")
-    if job.losses and job.state in ("training", "paused"):
+    if state.pace.quiet:
+        text = stage_of_training(state)
+    elif job.losses and job.state in ("training", "paused"):
         speed = job.iterations_per_second
         text = f"Loss {sum(job.losses.values()):.4f}" + (f", {speed:.1f} iterations/s" if speed else "")
     else:

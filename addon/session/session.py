@@ -46,6 +46,7 @@ from .state import (
     SummariseDataset,
     TaskCancelled,
     TaskStarted,
+    TimePassed,
     Vanished,
 )
 from .task import ChildTask, TaskEnded
@@ -113,16 +114,18 @@ class Session:
         log: Path,
         environment: dict[str, str] | None = None,
         python: str = "",
+        makes: str = "",
     ) -> None:
         """Start a child process; one of a name at a time. Raises ``OutputError``.
 
-        ``python``: of a check, the one that is checked where it is not the chosen one.
+        ``python``: of a check, the one that is checked where it is not the chosen one. ``makes``: the file or
+        folder that is there once it has ended well; empty where that says its result, or whoever takes it.
         """
         if name in self._tasks:
             raise OutputError(f"{name} is under way already", "Wait for it to end, or cancel it.")
         self._tasks[name] = ChildTask(name, command, log, environment)
         self._ended.pop(name, None)
-        self.dispatch(TaskStarted(name, str(log), python))
+        self.dispatch(TaskStarted(name, str(log), python, makes))
 
     def ended(self, name: str) -> TaskEnded | None:
         """How the task of a name ended that was started last; None while it runs, or where none was."""
@@ -188,6 +191,8 @@ class Session:
                 if isinstance(event, LinkLost):
                     self._forget_client()
         self._pump_process()
+        if self.state.tasks or self.state.active:
+            self.dispatch(TimePassed(time.monotonic()))
         return self.changes != before
 
     def wait(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """All that panels show, as one frozen value, and what may happen to it. No bpy: see ``transition``."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from ...bridge.messages import (
@@ -21,6 +21,8 @@ from ...bridge.messages import (
 from .task import TaskEnded, TaskProgress
 
 INSTALL, CHECK, DATASET, LOOK, PHOTOS = "install", "check", "dataset", "look", "photos"
+#: Seconds without progress after which it is said what is being done, and for how long.
+QUIET_SECONDS = 20
 #: Of the check's error where a package that training needs is not installed (backend/cli/check_report.py).
 MISSING_MODULE = "missing_module"
 
@@ -38,10 +40,29 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Pace:
+    """How long something at work has shown no progress: whole seconds, 0 below ``QUIET_SECONDS``.
+
+    ``since``: the time at which it was first seen as it is now; negative: it has not been seen yet.
+    """
+
+    quiet: int = 0
+    since: float = -1.0
+
+    def at(self, now: float) -> "Pace":
+        if self.since < 0.0:
+            return Pace(since=now)
+        seconds = int(now - self.since)
+        quiet = seconds if seconds >= QUIET_SECONDS else 0
+        return self if quiet == self.quiet else replace(self, quiet=quiet)
+
+
+@dataclass(frozen=True)
 class Running:
     """A child process at work: installing, checking, making a data set, looking at photos.
 
     ``python``: the one that is checked, where it is to take the place of the chosen one if it passes.
+    ``makes``: the file or folder that will be there when it has ended, as far as that is known.
     """
 
     name: str
@@ -51,6 +72,16 @@ class Running:
     seconds_left: float = -1.0
     cancelling: bool = False
     python: str = ""
+    makes: str = ""
+    pace: Pace = Pace()
+
+
+@dataclass(frozen=True)
+class Made:
+    """What the task of a name has made last: a file or a folder. Shown until it is dismissed."""
+
+    task: str
+    path: str
 
 
 @dataclass(frozen=True)
@@ -145,8 +176,9 @@ class State:
     """The whole of it.
 
     Of the backend, whichever .blend is open: ``backend``, ``link``, ``job`` and its ``history``, ``waiting``,
-    ``beginning``, ``stopping``, ``read``, ``tasks``. They end with its process, or when it says so. Of the
-    file: ``dataset``, ``photos``, ``prepared``, ``exported``, ``problem``. They end when another is opened.
+    ``beginning``, ``stopping``, ``read``, ``pace`` (the training's), ``tasks``. They end with its process, or
+    when it says so. Of the file: ``dataset``, ``photos``, ``prepared``, ``exported``, ``made``, ``problem``.
+    They end when another is opened.
     What the panel says of a job it says to the file whose run it is (``advice.is_of_file``).
 
     ``waiting``: requests to be sent once there is a connection. ``beginning``: the request for a new job that
@@ -166,7 +198,9 @@ class State:
     waiting: tuple[Request, ...] = ()
     beginning: TrainStart | TrainResume | RunOpen | None = None
     stopping: bool = False
+    pace: Pace = Pace()
     exported: Exported | None = None
+    made: Made | None = None
     problem: Problem | None = None
     read: Failure | None = None
 
@@ -193,11 +227,13 @@ class PythonChosen:
 
 @dataclass(frozen=True)
 class TaskStarted:
-    """``python``: of a check, the one that is checked where it is not the chosen one."""
+    """``python``: of a check, the one that is checked where it is not the chosen one. ``makes``: where what
+    it makes will be, where that is there as soon as it has ended."""
 
     name: str
     log: str
     python: str = ""
+    makes: str = ""
 
 
 @dataclass(frozen=True)
@@ -205,6 +241,21 @@ class TaskCancelled:
     """Somebody asked it to end; its ``TaskEnded`` is still to come."""
 
     name: str
+
+
+@dataclass(frozen=True)
+class TaskMade:
+    """What a task has computed was taken in, and is at ``path`` now."""
+
+    task: str
+    path: str
+
+
+@dataclass(frozen=True)
+class TimePassed:
+    """It is ``now``, in seconds of any clock; comes again and again while something is at work."""
+
+    now: float
 
 
 @dataclass(frozen=True)
@@ -323,12 +374,19 @@ class Dismissed:
     """The user has read the problem."""
 
 
+@dataclass(frozen=True)
+class MadeDismissed:
+    """The user has read what was made."""
+
+
 Event = (
     PythonChosen
     | TaskStarted
     | TaskProgress
     | TaskCancelled
     | TaskEnded
+    | TaskMade
+    | TimePassed
     | Asked
     | StopAsked
     | EndAsked
@@ -346,6 +404,7 @@ Event = (
     | NotTaken
     | FileOpened
     | Dismissed
+    | MadeDismissed
 )
 
 

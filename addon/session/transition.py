@@ -52,8 +52,11 @@ from .state import (
     KillBackend,
     Link,
     LinkLost,
+    Made,
+    MadeDismissed,
     NotEnded,
     NotTaken,
+    Pace,
     Photos,
     PhotosChosen,
     Prepared,
@@ -70,7 +73,9 @@ from .state import (
     StopAsked,
     SummariseDataset,
     TaskCancelled,
+    TaskMade,
     TaskStarted,
+    TimePassed,
     Vanished,
 )
 from .task import TaskEnded, TaskProgress
@@ -85,21 +90,32 @@ def transition(state: State, event: Event) -> Result:
     match event:
         case PythonChosen(python, report):
             return replace(state, backend=Backend(python, report)), ()
-        case TaskStarted(name, log, python):
-            tasks = (*_others(state, name), Running(name, log, python=python))
+        case TaskStarted(name, log, python, makes):
+            tasks = (*_others(state, name), Running(name, log, python=python, makes=makes))
             made = Prepared() if name == PHOTOS else state.prepared
             # One that works stays the chosen one until the other has passed.
             backend = Backend(python) if python and not state.backend.ready else state.backend
             # An idle backend goes: the environment that it runs by is replaced.
             must_end = name == INSTALL and state.link.status == "connected"
             effects = (Send(Shutdown()),) if must_end else ()
-            return replace(state, backend=backend, tasks=tasks, prepared=made, problem=None), effects
+            state = replace(state, backend=backend, tasks=tasks, prepared=made, made=None, problem=None)
+            return state, effects
         case TaskProgress(name, fraction, message, left):
-            return _with_task(state, name, fraction=fraction, message=message, seconds_left=left), ()
+            task = state.task(name)
+            has_moved = task is not None and (fraction, message) != (task.fraction, task.message)
+            pace = {"pace": Pace()} if has_moved else {}
+            return _with_task(state, name, fraction=fraction, message=message, seconds_left=left, **pace), ()
         case TaskCancelled(name):
             return _with_task(state, name, cancelling=True), ()
-        case TaskEnded():
-            return _task_ended(state, event)
+        case TaskEnded(name, ok, cancelled):
+            task = state.task(name)
+            path = str(event.result.get("folder") or (task.makes if task else ""))
+            state, effects = _task_ended(state, event)
+            return replace(state, made=Made(name, path)) if ok and not cancelled and path else state, effects
+        case TaskMade(name, path):
+            return replace(state, made=Made(name, path)), ()
+        case TimePassed(now):
+            return _aged(state, now), ()
         case Asked(request):
             return _asked(state, request)
         case StopAsked():
@@ -164,6 +180,7 @@ def transition(state: State, event: Event) -> Result:
                 photos=Photos(),
                 prepared=Prepared(),
                 exported=None,
+                made=None,
                 problem=None,
                 read=state.job.failure,
             ), ()
@@ -174,6 +191,8 @@ def transition(state: State, event: Event) -> Result:
                 state = _without_job(state)  # no backend is there that would tell it again
             link, backend = replace(state.link, problem=None), replace(state.backend, problem=None)
             return replace(state, link=link, backend=backend), ()
+        case MadeDismissed():
+            return replace(state, made=None), ()
 
 
 # ---- tasks -------------------------------------------------------------------------------------------------
@@ -186,6 +205,21 @@ def _others(state: State, name: str) -> tuple[Running, ...]:
 def _with_task(state: State, name: str, **changes: Any) -> State:
     tasks = tuple(replace(task, **changes) if task.name == name else task for task in state.tasks)
     return replace(state, tasks=tasks)
+
+
+def _aged(state: State, now: float) -> State:
+    """How long all that is at work has shown no progress; the same ``state`` where that is nothing new."""
+    tasks = tuple(_at(task, now) for task in state.tasks)
+    is_at_work = state.active and state.job.state != "paused"
+    pace = state.pace.at(now) if is_at_work else Pace()
+    if pace == state.pace and all(new is old for new, old in zip(tasks, state.tasks, strict=True)):
+        return state
+    return replace(state, tasks=tasks, pace=pace)
+
+
+def _at(task: Running, now: float) -> Running:
+    pace = task.pace.at(now)
+    return task if pace is task.pace else replace(task, pace=pace)
 
 
 def _task_ended(state: State, event: TaskEnded) -> Result:
@@ -248,7 +282,7 @@ def _asked(before: State, request: Request) -> Result:
         run = request.out if isinstance(request, TrainStart) else request.run
         job = JobStatus(state="preparing", run=run)
         job = replace(job, in_control=state.job.in_control, controller=state.job.controller)
-        state = replace(state, history=History(), job=job, beginning=request, read=None)
+        state = replace(state, history=History(), job=job, beginning=request, read=None, made=None)
     if state.link.status == "connected":
         return state, (Send(request),)
     state = replace(state, waiting=(*state.waiting, request))
@@ -378,7 +412,10 @@ def _job_changed(state: State, job: JobStatus) -> State:
             psnr_iterations=(*history.psnr_iterations, job.iteration),
             psnr=(*history.psnr, job.monitor["PSNR"]),
         )
-    state = replace(state, job=job, history=history)
+    has_moved = (job.state, job.iteration, job.message) != (
+        *(state.job.state, state.job.iteration, state.job.message),
+    )
+    state = replace(state, job=job, history=history, pace=Pace() if has_moved else state.pace)
     return state if state.active else replace(state, stopping=False)
 
 

@@ -20,7 +20,18 @@ from physhdr.addon.panels.dataset import PHYSHDR_PT_dataset  # noqa: E402
 from physhdr.addon.panels.illumination import PHYSHDR_PT_illumination  # noqa: E402
 from physhdr.addon.panels.train import PHYSHDR_PT_train  # noqa: E402
 from physhdr.addon.panels.training import PHYSHDR_PT_training  # noqa: E402
-from physhdr.addon.session.state import Backend, Dataset, Link, Photos, Problem, Running, State  # noqa: E402
+from physhdr.addon.session import tasks  # noqa: E402
+from physhdr.addon.session.state import (  # noqa: E402
+    Backend,
+    Dataset,
+    Link,
+    Made,
+    Pace,
+    Photos,
+    Problem,
+    Running,
+    State,
+)
 from physhdr.addon.session.tasks import TASKS  # noqa: E402
 from physhdr.bridge.messages import Failure, History, JobStatus, Welcome  # noqa: E402
 
@@ -531,10 +542,42 @@ def test_all_that_is_under_way_is_at_the_top_and_in_the_status_bar(chosen):
         state = State(tasks=(Running(name, "log", 0.4, "half way", 90.0),))
         told = " ".join(text for _, text, *_ in texts(draw(PHYSHDR_PT_train, state)))
         assert f"{title} 40%" in told and "1 min 30 s left" in told
-        assert list(status_bar.at_work(state)) == [(f"{title} 40%, 1 min 30 s left", 0.4, name)]
+        assert list(status_bar.at_work(state)) == [(f"{title} 40%, 1 min 30 s left", 0.4, name, "")]
     job = replace(states(chosen.data)["training"], tasks=(Running("web", "log", 0.5, ""),))
     assert [work.text for work in status_bar.at_work(job)] == [
         "Training 1234 / 25000, 1 h 23 min left",
         "Web Page 50%",
     ]
     assert not list(status_bar.at_work(states(chosen.data)["ready"]))
+
+
+def test_a_stage_without_progress_says_what_it_does_in_the_panel_and_in_the_status_bar(chosen):
+    task = Running("photos", "log", 0.4, "matching photos", pace=Pace(95))
+    said = "matching photos: 1 min 35 s so far"
+    assert said in [text for _, text, *_ in texts(draw(PHYSHDR_PT_train, State(tasks=(task,))))]
+    assert [work.stage for work in status_bar.at_work(State(tasks=(task,)))] == [said]
+    state = replace(states(chosen.data)["training"], pace=Pace(40))
+    said = "Iteration 1234: 40 s so far"
+    assert said in [text for _, text, *_ in texts(draw(PHYSHDR_PT_train, state))]
+    assert [work.stage for work in status_bar.at_work(state)] == [said]
+
+
+@pytest.mark.parametrize("name", tasks.ENDED)
+def test_every_long_task_ends_with_a_word_and_a_way_to_what_it_made(chosen, name, tmp_path):
+    """It stays where the bar was; nothing below moves, and no text is cut."""
+    made = tmp_path / "made.html"
+    made.write_text("", encoding="utf-8")
+    state = states(chosen.data)["finished"]
+    said = replace(state, made=Made(name, str(made)))
+    shown = list(texts(draw(PHYSHDR_PT_train, said)))
+    assert ("label", f"{tasks.ENDED[name]}: made.html") in [each[:2] for each in shown]
+    buttons = [text for kind, text, *_ in shown if kind == "operator"]
+    assert buttons == (["Open"] if name in tasks.SHOWN else []) + ["Open Folder", ""]
+    assert not [each for each in shown if parts.text_width(each[1]) > each[2]]
+    bar = SimpleNamespace(layout=Layout(1000))
+    runtime.session().state = said
+    status_bar.draw(bar, bpy.context)
+    assert f"{tasks.ENDED[name]}: made.html" in [text for _, text, *_ in texts(bar.layout)]
+    long = replace(state, made=Made(name, "/home/somebody/" + "a rather long name " * 4))
+    assert not [each for each in texts(draw(PHYSHDR_PT_train, long)) if parts.text_width(each[1]) > each[2]]
+    assert height(draw(PHYSHDR_PT_train, said))[1] <= height(draw(PHYSHDR_PT_train, state))[1]

@@ -34,6 +34,8 @@ from physhdr.addon.session.state import (
     KeepReport,
     KillBackend,
     LinkLost,
+    Made,
+    MadeDismissed,
     NotEnded,
     NotTaken,
     Photos,
@@ -51,11 +53,13 @@ from physhdr.addon.session.state import (
     StopAsked,
     SummariseDataset,
     TaskCancelled,
+    TaskMade,
     TaskStarted,
+    TimePassed,
     Vanished,
 )
 from physhdr.addon.session.task import TaskEnded, TaskProgress
-from physhdr.addon.session.tasks import TASKS
+from physhdr.addon.session.tasks import TASKS, stage, stage_of_training
 from physhdr.addon.session.transition import transition
 from physhdr.bridge.messages import (
     Done,
@@ -259,6 +263,61 @@ def test_a_cancelled_look_is_not_begun_again():
     # Photos that were left while they were looked at are gone.
     left, _ = after(state, PhotosChosen(""), TaskEnded("look", False, cancelled=True))
     assert left.photos == Photos()
+
+
+def test_what_was_made_is_said_until_it_is_dismissed_or_something_else_is_begun():
+    state, _ = after(READY, TaskStarted("video", "log", makes="/run/video.mp4"), TaskEnded("video", True))
+    assert state.made == Made("video", "/run/video.mp4")
+    assert transition(state, MadeDismissed())[0].made is None
+    assert transition(state, TaskStarted("web", "log"))[0].made is None
+    assert transition(state, Asked(START))[0].made is None and transition(state, FileOpened())[0].made is None
+    # What the user reads of something that failed is another thing.
+    assert transition(state, Dismissed())[0].made == state.made
+    state, _ = after(
+        READY, TaskStarted("photos", "log"), TaskEnded("photos", True, result={"folder": "/set"})
+    )
+    assert state.made == Made("photos", "/set")
+    # A bake is there once it was taken in.
+    state, _ = after(READY, TaskStarted("bake", "log"), TaskEnded("bake", True))
+    assert state.made is None and transition(state, TaskMade("bake", "/a.ply"))[0].made == Made(
+        "bake", "/a.ply"
+    )
+
+
+@pytest.mark.parametrize(
+    "how", [{"ok": False}, {"ok": False, "cancelled": True}, {"ok": True, "cancelled": True}]
+)
+def test_nothing_is_said_to_be_made_where_it_failed_or_was_cancelled(how):
+    state, _ = after(READY, TaskStarted("video", "log", makes="/run/video.mp4"), TaskEnded("video", **how))
+    assert state.made is None
+
+
+def test_a_stage_without_progress_for_20_seconds_says_what_it_does_and_for_how_long():
+    state, _ = after(READY, TaskStarted("photos", "log"), TimePassed(100.0), TimePassed(119.0))
+    assert stage(state.tasks[0]) == "Photos"
+    state, _ = after(
+        state, TaskProgress("photos", 0.2, "matching photos"), TimePassed(120.0), TimePassed(139.5)
+    )
+    assert stage(state.tasks[0]) == "matching photos"
+    # The same said again is no progress.
+    state, _ = after(state, TaskProgress("photos", 0.2, "matching photos", 9.0), TimePassed(140.2))
+    assert stage(state.tasks[0]) == "matching photos: 20 s so far"
+    assert transition(state, TimePassed(140.9))[0] is state  # nothing to be drawn anew
+    state, _ = after(state, TimePassed(215.0))
+    assert stage(state.tasks[0]) == "matching photos: 1 min 35 s so far"
+    state, _ = after(state, TaskProgress("photos", 0.3, "matching photos"), TimePassed(216.0))
+    assert stage(state.tasks[0]) == "matching photos"
+
+
+def test_a_training_without_progress_says_what_it_does_but_a_halted_one_does_not():
+    state = training()
+    state, _ = after(state, TimePassed(100.0), TimePassed(130.0))
+    assert stage_of_training(state) == f"Iteration {state.job.iteration}: 30 s so far"
+    moved = replace(state.job, iteration=state.job.iteration + 1)
+    state, _ = after(state, Received(moved), TimePassed(131.0))
+    assert state.pace.quiet == 0 and stage_of_training(state) == ""
+    state, _ = after(state, Received(replace(moved, state="paused")), TimePassed(140.0), TimePassed(900.0))
+    assert state.pace.quiet == 0
 
 
 def test_the_environment_is_not_replaced_while_anything_works_by_it():
