@@ -30,7 +30,11 @@ def test(window: Window) -> Iterator[float]:
     window.screenshot("2_evaluating")
     yield from window.until(lambda: session.state.task("evaluate") is None, 300, "evaluated")
     assert session.state.problem is None, session.state.problem
-    yield from window.redrawn()
+    assert session.state.made is not None and session.state.made.task == "evaluate"
+    yield from window.show_panels()
+    window.screenshot("3_done")
+    bpy.ops.physhdr.made_dismiss()
+    yield from window.show_panels("results")
     window.screenshot("3_evaluated")
 
     bpy.ops.physhdr.model_import(filepath=str(run / "model.safetensors"))
@@ -72,7 +76,8 @@ def test(window: Window) -> Iterator[float]:
     yield from window.redrawn()
     window.screenshot("7_baking")
     yield from window.until(lambda: session.state.task("bake") is None, 300, "fitted")
-    yield from window.until(baked.is_file, 30, "written")
+    yield from window.until(lambda: session.state.made is not None, 30, "written")
+    assert session.state.made.path == str(baked) and baked.is_file()
     assert session.state.problem is None, session.state.problem
     assert b"fitted to pictures" in baked.read_bytes()[:2000]
 
