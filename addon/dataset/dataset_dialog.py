@@ -64,19 +64,9 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
 
 
 def draw_in_panel(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
-    """Under the button of the dialog: what was photographed hidden or shown, and the cameras' toggle."""
-    scene = context.scene
+    """Under the button of the dialog: the cameras' toggle."""
     if rig_preview.pinned():
         layout.operator("physhdr.rig_show", text="Hide Cameras", icon="OUTLINER_DATA_CAMERA", depress=True)
-    draw_originals(scene, layout)
-
-
-def draw_originals(scene: bpy.types.Scene, layout: bpy.types.UILayout) -> None:
-    """The toggle of what was photographed, where anything was."""
-    if originals.is_offered(scene):
-        hidden = originals.are_hidden(scene)
-        text, icon = ("Show Originals", "HIDE_ON") if hidden else ("Hide Originals", "HIDE_OFF")
-        layout.operator("physhdr.originals_hide", text=text, icon=icon, depress=hidden)
 
 
 def time_in_words(values: SimpleNamespace, scene: bpy.types.Scene) -> str:

@@ -8,7 +8,7 @@ import bpy
 
 from ...bridge.lights import AMBIENT
 from ..blender import cloud_of, layout_of
-from ..dataset.dataset_dialog import draw_originals
+from ..capture import originals
 from ..model.attributes import CAMERAS, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY
 from ..model.look import draw_look, slider_name
 from ..model.preview_look import followed
@@ -16,12 +16,12 @@ from ..operators.base import choices
 from ..operators.native import draw_native
 from ..rendering.render_setup import has_model, models_of
 from ..runtime import session
-from ..session.advice import why_not
+from ..session.advice import holds_another, why_not
 from ..session.state import State
 from ..settings import PHYSHDR_Settings
 from ..viewport import overlay
 from ..viewport.camera import ORTHOGRAPHIC_HINT
-from .parts import Subpanel, write
+from .parts import Subpanel, button, write
 
 
 class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
@@ -47,11 +47,24 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             if text := confidence_note(target):
                 write(context, layout, text, "INFO")
             draw_native(layout, target)
-            draw_originals(context.scene, layout)
         else:
             draw_own(layout, state, settings)
         for text in hints(context, state, settings, target, shown, reason):
             write(context, layout, text, "INFO")
+            if text == reason and holds_another(state, choices(context)):
+                button(context, layout, state, "open", "physhdr.run_open", "Open Run", "FILE_FOLDER")
+        draw_originals(context, layout)
+
+
+def draw_originals(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    """The toggle of what was photographed, where a model of it is shown: the two are in each other's way."""
+    if not originals.is_offered(context.scene):
+        return
+    hidden = originals.are_hidden(context.scene)
+    if not hidden:
+        write(context, layout, "It is where the objects are that it was photographed from", "INFO")
+    text, icon = ("Show Originals", "HIDE_ON") if hidden else ("Hide Originals", "HIDE_OFF")
+    layout.operator("physhdr.originals_hide", text=text, icon=icon, depress=hidden)
 
 
 def draw_cameras(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:

@@ -324,17 +324,19 @@ def _is_panorama(scene: bpy.types.Scene) -> bool:
 
 def _width(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     wide = render_size(scene)[0]
+    alike: dict[tuple[int, bool], list[bpy.types.Object]] = {}
     for each in shown.models:
         width = _input(each, nodes.IMAGE_WIDTH)
         if width in (None, wide) or follows_render_width(each):
             continue
-        text = f"{each.name}: fine detail comes out too thin"
-        if width:
-            text = f"{each.name}: fine detail is for a picture {width} pixels wide, and this one has {wide}"
-        text += " (Image Width)"
         modifier = nodes.find_modifier(each)
         own = modifier is not None and _curve(each, modifier) is not None
-        yield Problem("WIDTH", text, fixable=_editable([each]) and not own)
+        alike.setdefault((width, _editable([each]) and not own), []).append(each)
+    for (width, fixable), models in alike.items():
+        text = "fine detail comes out too thin"
+        if width:
+            text = f"fine detail is for a picture {width} pixels wide, and this one has {wide}"
+        yield Problem("WIDTH", f"{names_of(models)}: {text} (Image Width)", fixable)
 
 
 def _samples(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:

@@ -166,6 +166,11 @@ def is_of_file(job: JobStatus, choices: Choices) -> bool:
     return bool(choices.out) and same_folder(job.run, choices.out)
 
 
+def holds_another(state: State, choices: Choices) -> bool:
+    """Whether the backend's model is of another run than the open file's."""
+    return state.job.has_model and not is_of_file(state.job, choices)
+
+
 def _is_of(data: str, chosen: str) -> bool:
     """Whether a job's data set is the one that is chosen, as far as both are known."""
     return not data or not chosen or same_folder(data, chosen)
@@ -235,8 +240,9 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
             no_run = "Train a model, or choose the folder of a run, first"
             return "" if choices.out_has_run else _or_look(choices, no_run)
         case "preview":
-            if state.job.has_model and not is_of_file(state.job, choices):
-                return "The backend holds another run: open this file's"
+            if holds_another(state, choices):
+                shown = os.path.basename(os.path.normpath(state.job.run))
+                return f"The trainer has the model of another run open, {shown}: open this file's instead"
             return "" if state.job.has_model else "There is no model yet: start a training or open a run"
         case "shutdown":  # of one that is ending already: at once
             return "" if state.link.status == "off" and state.link.pid else _why_not_steer(state)

@@ -109,7 +109,7 @@ def transition(state: State, event: Event) -> Result:
             return _with_task(state, name, cancelling=True), ()
         case TaskEnded(name, ok, cancelled):
             task = state.task(name)
-            path = str(event.result.get("folder") or (task.makes if task else ""))
+            path = (task.makes if task else "") or str(event.result.get("folder", ""))
             state, effects = _task_ended(state, event)
             return replace(state, made=Made(name, path)) if ok and not cancelled and path else state, effects
         case TaskMade(name, path):

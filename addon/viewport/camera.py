@@ -28,6 +28,10 @@ ORTHOGRAPHIC_HINT = (
 )
 
 
+#: A view that turns by more (here 30°), or moves by more of the distance to what it shows, has jumped.
+JUMP_COSINE, JUMP_SHARE = math.sqrt(0.75), 0.5
+
+
 @dataclass(frozen=True, eq=False)
 class ViewCamera:
     """A pinhole (or orthographic) camera: pose in Blender's world, intrinsics in pixels.
@@ -130,6 +134,18 @@ def of_region(region: "bpy.types.Region", rv3d: "bpy.types.RegionView3D") -> Vie
 def object_to_camera(camera: ViewCamera, matrix_world: "Rows") -> np.ndarray:
     """``[4, 4]`` float64: from an object's space to the camera's, OpenCV axes."""
     return camera.world_to_camera @ np.array(matrix_world, np.float64)
+
+
+def has_jumped(source: ViewCamera, view: ViewCamera, depth: float) -> bool:
+    """Whether a picture for ``source`` of what is ``depth`` metres away shows too little of ``view``, or that
+    too wrongly, to stand in for it: moved there as a card it would be torn."""
+    if source.is_orthographic != view.is_orthographic:
+        return True
+    before, now = source.camera_to_world, view.camera_to_world
+    if float(before[:3, 2] @ now[:3, 2]) < JUMP_COSINE:
+        return True
+    moved = float(np.linalg.norm(before[:3, 3] - now[:3, 3]))
+    return not view.is_orthographic and moved > JUMP_SHARE * depth
 
 
 def between(source: ViewCamera, target: ViewCamera) -> np.ndarray:

@@ -32,7 +32,7 @@ import numpy as np
 from ...bridge.errors import DataMismatchError
 from ..model.tone_curve import ToneCurve
 from . import gpu_arrays, overlay_shader
-from .camera import OPENGL_TO_OPENCV, ViewCamera, between, of_region
+from .camera import OPENGL_TO_OPENCV, ViewCamera, between, has_jumped, of_region
 from .overlay_shader import Flag
 
 #: Every so many pixels of a picture are asked for its typical depth.
@@ -242,9 +242,11 @@ def _forget(key: int) -> None:
 
 def _layers(context: bpy.types.Context, view: ViewCamera) -> list[Layer]:
     layers = [layer for source in _runtime.sources for layer in source(context, view)]
+    # Until there is a picture of where a view has jumped to, none is better than a torn one.
+    layers = [layer for layer in layers if not has_jumped(layer.camera, view, layer.plane_depth)]
     key = region_key(context.region)
     picture = _runtime.pictures.get(key)
-    if picture is not None and not view.is_orthographic:
+    if picture is not None and not has_jumped(picture.camera, view, picture.typical_depth):
         known = _runtime.layers.get(key)
         if known is None or known[0] is not picture:
             known = _runtime.layers[key] = picture, upload(picture)

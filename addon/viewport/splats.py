@@ -26,11 +26,11 @@ from ..model.point_cloud import read_tone_curve
 from ..model.point_removal import selection_of
 from ..model.tone_curve import ToneCurve
 from . import bounds, overlay, stand_in
-from .camera import ViewCamera
+from .camera import ViewCamera, has_jumped
 from .edit_points import EditPoints, checksum
 from .instances import InstanceFinder, is_visible
 from .overlay import Layer
-from .schedule import REST_SECONDS, STEP, ResolutionLadder
+from .schedule import LOWEST_STEP, REST_SECONDS, STEP, ResolutionLadder
 from .splat_data import (
     Marks,
     SplatTextures,
@@ -45,6 +45,8 @@ from .splat_renderer import Drawing, Item, SplatRenderer, Target
 BOUNDS_SECONDS = 0.5
 #: A redraw may spend about as long here.
 BUDGET_SECONDS = 0.03
+#: And after a jump of the view, whose picture before is of no use.
+JUMP_SECONDS = 0.3
 #: Up to as many Gaussians are always sorted exactly; more take too long while the view moves.
 EXACT_SORT_COUNT = 300_000
 #: The fewest Gaussians in a portion of a sharp picture, and those of the first. Fewer would not be quicker:
@@ -184,7 +186,12 @@ class _GroupView:
         if signature != self._signature:
             self._signature, self._changed_at = signature, start
         rests_in = self._changed_at + REST_SECONDS - start
-        end = start + BUDGET_SECONDS
+        jumped = self._has_jumped(self._shown, camera)
+        end = start + (JUMP_SECONDS if jumped else BUDGET_SECONDS)
+        if jumped and self._has_jumped(self._next, camera):
+            self._next = None
+        if jumped:  # a coarse picture at once: there is nothing else to show
+            self._ladder.step = LOWEST_STEP
         has_begun = self._choose(items, camera, rests_in <= 0.0)
         if self._next is not None and not (has_begun and time.perf_counter() > end):
             self._work(end)
@@ -193,6 +200,11 @@ class _GroupView:
             return shown, None
         is_waiting = self._next is None and self._shown is not None and self._shown.signature == signature
         return shown, max(0.0, rests_in) if is_waiting else 0.0
+
+    @staticmethod
+    def _has_jumped(work: _Work | None, camera: ViewCamera) -> bool:
+        """Whether a picture is of too far away to be shown for ``camera``."""
+        return work is not None and has_jumped(work.drawing.camera, camera, work.drawing.typical_depth)
 
     def _choose(self, items: list[Item], camera: ViewCamera, is_resting: bool) -> bool:
         """Begin the picture that is wanted now, if it is not being drawn; whether it was begun."""

@@ -14,6 +14,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon import plot, runtime, settings  # noqa: E402
+from physhdr.addon.capture import originals  # noqa: E402
 from physhdr.addon.panels import parts, status_bar  # noqa: E402
 from physhdr.addon.panels.backend import PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready  # noqa: E402
 from physhdr.addon.panels.dataset import PHYSHDR_PT_dataset  # noqa: E402
@@ -581,3 +582,26 @@ def test_every_long_task_ends_with_a_word_and_a_way_to_what_it_made(chosen, name
     long = replace(state, made=Made(name, "/home/somebody/" + "a rather long name " * 4))
     assert not [each for each in texts(draw(PHYSHDR_PT_train, long)) if parts.text_width(each[1]) > each[2]]
     assert height(draw(PHYSHDR_PT_train, said))[1] <= height(draw(PHYSHDR_PT_train, state))[1]
+
+
+def test_hide_originals_is_offered_once_where_model_and_originals_are_in_each_others_way(chosen, monkeypatch):
+    monkeypatch.setattr(originals, "is_offered", lambda scene: True)
+    state = states(chosen.data)["open"]
+    shown = [
+        each for panel in PANELS if panel is not PHYSHDR_PT_backend for each in texts(draw(panel, state))
+    ]
+    assert [text for kind, text, *_ in shown if kind == "operator" and "Originals" in text] == [
+        "Hide Originals"
+    ]
+    assert "photographed from" in " ".join(text for kind, text, *_ in shown if kind == "label")
+
+
+def test_who_previews_while_another_runs_model_is_open_is_given_the_button(chosen, tmp_path):
+    state = states(chosen.data)["open"]
+    chosen.out = str(tmp_path / "mine")
+    chosen.preview = True
+    shown = list(texts(draw(PHYSHDR_PT_illumination, state)))
+    assert "Open Run" in [text for kind, text, *_ in shown if kind == "operator"]
+    told = " ".join(text for kind, text, *_ in shown if kind == "label")
+    assert "another run open, kitchen_run: open this file's instead" in told
+    assert not [each for each in shown if parts.text_width(each[1]) > each[2]]

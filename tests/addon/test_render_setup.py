@@ -383,6 +383,15 @@ def test_each_problem_is_told_alone_and_mended(room, registered, spoil, kind, sa
     assert kinds(registered) == []
 
 
+def test_what_is_wrong_of_several_models_alike_is_said_once(room, registered, make_model, write):
+    for name in ("garden", "hall"):
+        other = model_import.import_model(write(make_model(count=20, seed=6)), name)
+        nodes.set_input(nodes.find_modifier(other), nodes.IMAGE_WIDTH, 100)
+    widths = [each for each in render_setup.render_problems(registered) if each.kind == "WIDTH"]
+    assert len(widths) == 2  # the room's own is another one
+    assert [each.text.partition(":")[0] for each in widths] == [room.name, "garden and hall"]
+
+
 def test_splats_are_blended_unless_depth_of_field_needs_their_depth(room, registered):
     (splat,), (ellipsoid,) = materials(room, "splat"), materials(room, "ellipsoid")
     registered.render.engine = "BLENDER_EEVEE"

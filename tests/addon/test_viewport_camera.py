@@ -2,6 +2,7 @@
 """The view as a pinhole in pixels, against Blender's own matrices."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,21 @@ def test_resizing_keeps_what_is_seen():
     np.testing.assert_allclose(small.project(points)[0], full.project(points)[0] * (101 / 400, 77 / 300))
     assert full.scaled(1e-6).width == 1
     assert small.key != full.key and small.key == full.resized(101, 77).key
+
+
+@pytest.mark.parametrize(
+    ("turn", "moved", "expected"),
+    [(0.0, 0.0, False), (20.0, 0.0, False), (35.0, 0.0, True), (0.0, 0.9, False), (0.0, 1.1, True)],
+)
+def test_a_view_has_jumped_where_the_picture_before_says_little_of_it(turn, moved, expected):
+    """Of what is 2 m away."""
+    before = view_camera.ViewCamera(np.eye(4), 40, 30, 50.0, 50.0, 20.0, 15.0)
+    pose = np.eye(4)
+    cosine, sine = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+    pose[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
+    pose[0, 3] = moved
+    assert view_camera.has_jumped(before, replace(before, camera_to_world=pose), 2.0) == expected
+    assert view_camera.has_jumped(before, replace(before, is_orthographic=True), 2.0)
 
 
 def test_between_two_cameras_a_point_is_the_same(look_at):

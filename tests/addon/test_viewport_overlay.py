@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The overlay's compositing, drawn without a window into a framebuffer like a 3D view's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import gpu  # noqa: E402
 
 from physhdr.addon.model.tone_curve import ToneCurve  # noqa: E402
-from physhdr.addon.viewport import gpu_arrays  # noqa: E402
+from physhdr.addon.viewport import gpu_arrays, overlay  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera, from_matrices  # noqa: E402
 from physhdr.addon.viewport.overlay import Compositor, Layer, RenderedView, upload  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
@@ -156,3 +158,16 @@ def test_infinite_radiance_does_not_spoil_the_view(compositor):
 def test_sizes_must_agree():
     with pytest.raises(DataMismatchError, match=r"60×40 pixels.*\[10, 10, 4\]"):
         RenderedView(np.zeros((10, 10, 4)), np.zeros((10, 10)), camera_at(0.0))
+
+
+def test_a_picture_of_before_a_jump_is_not_shown(compositor, monkeypatch):
+    shown = picture(3.0)
+    layer = upload(shown)
+    context = SimpleNamespace(region=None)
+    monkeypatch.setattr(overlay, "region_key", lambda _: 7)
+    monkeypatch.setattr(overlay._runtime, "sources", [lambda context, view: [layer]])
+    monkeypatch.setattr(overlay._runtime, "pictures", {7: shown})
+    monkeypatch.setattr(overlay._runtime, "layers", {})
+    # What is half covered is taken to be a metre away.
+    assert len(overlay._layers(context, camera_at(0.4))) == 2
+    assert overlay._layers(context, camera_at(0.6)) == []

@@ -465,3 +465,12 @@ def test_a_slow_gpu_shows_the_last_picture_and_ends_sharp(renderer, monkeypatch)
     assert drawing is sharp and wake_in == 0.0, "the one before, until the next is done"
     again, _, _ = redraw(moved, lambda drawing: view.is_sharp)
     assert again.camera.key == moved.key
+
+    # A view that jumps gets a coarse picture of where it is now, however little time there is.
+    monkeypatch.setattr(splats, "JUMP_SECONDS", 60.0)
+    turned = np.diag([-1.0, 1.0, -1.0, 1.0])
+    turned[:3, 3] = 0.0, 0.0, -8.0
+    behind = ViewCamera(turned, SIZE, SIZE, FOCAL, FOCAL, 30.0, 30.0)
+    drawing, wake_in = view.update(items, behind)
+    assert drawing is not again and drawing.camera.width < SIZE / 3 and drawing.is_complete
+    np.testing.assert_array_equal(drawing.camera.camera_to_world, behind.camera_to_world)

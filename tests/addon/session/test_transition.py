@@ -266,7 +266,8 @@ def test_a_cancelled_look_is_not_begun_again():
 
 
 def test_what_was_made_is_said_until_it_is_dismissed_or_something_else_is_begun():
-    state, _ = after(READY, TaskStarted("video", "log", makes="/run/video.mp4"), TaskEnded("video", True))
+    state, _ = after(READY, TaskStarted("video", "log", makes="/run/video.mp4"))
+    state, _ = transition(state, TaskEnded("video", True, result={"folder": "/run"}))
     assert state.made == Made("video", "/run/video.mp4")
     assert transition(state, MadeDismissed())[0].made is None
     assert transition(state, TaskStarted("web", "log"))[0].made is None
