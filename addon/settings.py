@@ -74,6 +74,7 @@ class _Defaults:
     home = ""
     when_closed = "keep"
     torch = "cpu"
+    research = False
 
 
 def home_folder() -> Path:
@@ -112,11 +113,15 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
         update=_close_changed,
     )
     torch: bpy.props.EnumProperty(name="Build of torch", items=TORCH_BUILDS)
+    research: bpy.props.BoolProperty(
+        name="Research Methods",
+        description="Offer published methods and variants, to compare with, beside Fast, Default and High",
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = layout_of(self)
         layout.use_property_split = True
-        for name in ("home", "torch", "when_closed"):
+        for name in ("home", "torch", "when_closed", "research"):
             layout.prop(self, name)
 
 
@@ -269,7 +274,7 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     )
     #: Which folder the paths beside the .blend are beside; see ``blend_paths``.
     folder_key: bpy.props.IntProperty(default=-1, options={"HIDDEN"})
-    preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
+    preset: bpy.props.EnumProperty(name="Method", items=PRESETS, default="default")
     iterations: bpy.props.IntProperty(
         name="Iterations",
         min=0,

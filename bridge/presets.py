@@ -19,10 +19,15 @@ class Preset(NamedTuple):
     splats: bool = True
 
 
-#: Blender's panel offers these. New ones come last: a .blend keeps the place in this list.
-IN_PANEL = (
-    Preset("default", "Default", "What you want first: good pictures, relights"),
+#: Blender's panel offers these: by the time that they take …
+USUAL = (
     Preset("fast", "Fast", "A look: half of the default's time, not quite as sharp"),
+    Preset("default", "Default", "What you want first: good pictures, relights"),
+    Preset("high", "High", "Overnight: four times the default's time"),
+)
+
+#: … and these where the preferences ask for research methods.
+RESEARCH = (
     Preset("paper", "Paper", "The published method (PhysHDR-GS), word by word: slow, to compare with"),
     Preset("baseline", "Baseline", "Plain Gaussian splatting in HDR, to compare with: no relighting"),
     Preset(
@@ -36,8 +41,9 @@ IN_PANEL = (
         "HDR-GS",
         "Another published method, to compare with: no relighting, brightness without scale",
     ),
-    Preset("high", "High", "Overnight: four times the default's time"),
 )
+
+IN_PANEL = (*USUAL, *RESEARCH)
 
 #: Those for comparisons, which take long or answer a question that few have: on the command line alone.
 FOR_COMPARISONS = (

@@ -14,7 +14,7 @@ from .. import outside
 from ..capture import originals
 from ..model.look import is_model
 from ..runtime import session
-from . import dataset_command, dataset_folder, denoiser, render_time, rig_preview, time_trial, unsaved
+from . import dataset_command, dataset_folder, denoiser, render_time, time_trial, unsaved
 from .dataset_settings import PHYSHDR_DatasetSettings, chosen, settings_of
 
 if TYPE_CHECKING:
@@ -61,12 +61,6 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         _write(box, problem.message, "ERROR")
         if problem.hint:
             _write(box, problem.hint, "BLANK1")
-
-
-def draw_in_panel(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
-    """Under the button of the dialog: the cameras' toggle."""
-    if rig_preview.pinned():
-        layout.operator("physhdr.rig_show", text="Hide Cameras", icon="OUTLINER_DATA_CAMERA", depress=True)
 
 
 def time_in_words(values: SimpleNamespace, scene: bpy.types.Scene) -> str:

@@ -42,6 +42,15 @@ def inputs(lights: Sequence[str]) -> list[str]:
     return [nodes.EXPOSURE, *levels, nodes.TONE_MAPPER, nodes.VIEW_DEPENDENT]
 
 
+#: Inputs that decide how a model looks but for its light, and what a panel calls them.
+LOOK = {
+    nodes.TONE_MAPPER: "Learned Tones",
+    nodes.VIEW_DEPENDENT: "View Dependent",
+    nodes.CAMERA_SPLATS: "Camera Splats",
+    nodes.IMAGE_WIDTH: "Image Width",
+}
+
+
 @dataclass(frozen=True)
 class Look:
     """``exposure_ev``: radiance is multiplied by 2 to this power; ``lighting_levels``: the factor of each of
@@ -211,8 +220,8 @@ def slider_name(lights: Sequence[str], index: int) -> str:
     return nodes.level_input(lights, 0) if len(lights) == 1 else lights[index]
 
 
-def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
-    """The look's sliders (one a light) with keyframe buttons; a label where the modifier was removed."""
+def draw_sliders(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
+    """Exposure and a level for each light, with keyframe buttons; a label where the modifier was removed."""
     modifier = nodes.find_modifier(target)
     if modifier is None:
         layout.label(text="Its PhysHDR modifier was removed: import it again", icon="ERROR")
@@ -222,16 +231,27 @@ def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
     except PhysHDRError as error:
         layout.label(text=str(error), icon="ERROR")
         return
+    names = {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
+    _draw_inputs(layout, modifier, {nodes.EXPOSURE: nodes.EXPOSURE, **names})
+
+
+def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
+    """The rest of how a model looks, with keyframe buttons; nothing where the modifier was removed."""
+    modifier = nodes.find_modifier(target)
+    if modifier is not None:
+        _draw_inputs(layout, modifier, LOOK)
+
+
+def _draw_inputs(
+    layout: bpy.types.UILayout, modifier: bpy.types.NodesModifier, names: dict[str, str]
+) -> None:
     column = layout.column()
     column.use_property_split = True
     column.use_property_decorate = True
-    # A panel has less room than a modifier: half of its width is for the names of switches.
-    names = {nodes.TONE_MAPPER: "Learned Tones"}
-    names |= {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
-    for label in inputs(lights):
+    for label, name in names.items():
         if nodes.has_input(modifier, label):
             socket = getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, label))
-            column.prop(socket, "value", text=names.get(label, label))
+            column.prop(socket, "value", text=name)
 
 
 def cast_no_shadow(target: bpy.types.Object) -> None:

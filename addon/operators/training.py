@@ -137,7 +137,9 @@ class PHYSHDR_OT_train_start(_Training):
 
     data: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options=FOLDER)
     out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
-    preset: bpy.props.EnumProperty(name="Method", items=settings.PRESETS, options={"SKIP_SAVE"})
+    preset: bpy.props.EnumProperty(
+        name="Method", items=settings.PRESETS, default="default", options={"SKIP_SAVE"}
+    )
     iterations: bpy.props.IntProperty(
         name="Iterations",
         min=0,

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The trainer's Python and its process."""
 
-from typing import TYPE_CHECKING, ClassVar
-
 import bpy
 
 from ..blender import layout_of
@@ -10,7 +8,7 @@ from ..runtime import session
 from ..session.advice import silence
 from ..session.pythons import is_ours
 from ..session.state import ENDING, State
-from .parts import ICON, Subpanel, button, reasons, shortened, write
+from .parts import ICON, button, reasons, shortened, write
 
 #: The first way in, and what it downloads: for the processor, on an ordinary line.
 TRAINS = "Train from photos, or from this scene. The trainer is 1.8 GB, once, about 3 minutes"
@@ -27,74 +25,48 @@ class PHYSHDR_MT_backend(bpy.types.Menu):
         layout_of(self).operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
 
 
-class _Backend(Subpanel):
-    bl_label = "Backend"
-    if TYPE_CHECKING:
-        layout: bpy.types.UILayout | None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, layout_of(self)
-        if state.backend.ready:
-            self._draw_ready(context, layout, state)
-        else:
-            draw_first(context, layout, state)
-        if state.link.status == "off":
-            if state.link.pid:
-                text = f"Process {state.link.pid} {silence(state.link)}"
-                write(context, layout, text, "UNLINKED")
-                text = "End Now" if state.link.barred == ENDING else "End It"
-                layout.operator("physhdr.backend_shutdown", text=text, icon="QUIT")
-            return
-        welcome = state.link.welcome
-        row = layout.row(align=True)
-        row.label(text=f"Running, process {state.link.pid}" if welcome else "Starting", icon="LINKED")
+def draw(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """The one that works, folded: what it does is shown at the top."""
+    warnings = warnings_of(state.backend.report)
+    head, body = layout.panel("physhdr_trainer", default_closed=True)
+    head.label(text="Trainer", icon="ERROR" if warnings or state.backend.missing else "NONE")
+    if body is None:
+        return
+    write(context, body, report_line(state.backend.report), "CHECKMARK")
+    for warning in warnings:
+        write(context, body, warning, "ERROR")
+    body.label(text=shortened(state.backend.python, context, ICON), icon="FILE_SCRIPT")
+    row = body.row(align=True)
+    row.operator("physhdr.backend_check", text="Check")
+    row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
+    if state.backend.missing:
+        text = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
+        write(context, body, text, "INFO")
+        draw_extend(context, body, state)
+    if state.link.status != "off":
+        row = body.row(align=True)
+        text = f"Running, process {state.link.pid}" if state.link.welcome else "Starting"
+        row.label(text=text, icon="LINKED")
         row.operator("physhdr.log_open", text="", icon="TEXT").filepath = state.link.log
         row.operator("physhdr.backend_shutdown", text="", icon="QUIT")
-        if welcome and welcome.version != session().version:
-            text = f"It is of version {welcome.version}: shut it down to use {session().version}"
-            write(context, layout, text, "ERROR")
-        if welcome and not state.job.in_control:
-            write(context, layout, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
-            layout.operator("physhdr.control_take", icon="UNLOCKED")
-
-    def _draw_ready(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
-        write(context, layout, report_line(state.backend.report), "CHECKMARK")
-        for warning in warnings_of(state.backend.report):
-            write(context, layout, warning, "ERROR")
-        layout.label(text=shortened(state.backend.python, context, ICON), icon="FILE_SCRIPT")
-        row = layout.row(align=True)
-        row.operator("physhdr.backend_check", text="Check")
-        row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
-        if state.backend.missing:
-            text = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
-            write(context, layout, text, "INFO")
-            draw_extend(context, layout, state)
 
 
-class PHYSHDR_PT_backend(_Backend, bpy.types.Panel):
-    """First of all, while there is none that works."""
-
-    bl_label = "Start Here"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return not session().state.backend.ready
-
-
-class PHYSHDR_PT_backend_ready(_Backend, bpy.types.Panel):
-    """Last and folded, once there is one: what it does is shown above."""
-
-    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
-    bl_order = 100
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return session().state.backend.ready
-
-    def draw_header(self, context: bpy.types.Context) -> None:
-        state = session().state
-        if state.backend.missing or warnings_of(state.backend.report) or is_of_others(state):
-            layout_of(self).label(text="", icon="ERROR")
+def draw_foreign(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """A process that does not answer, or is of another version or Blender, and what is done with it."""
+    link, welcome = state.link, state.link.welcome
+    if link.status == "off":
+        if link.pid:
+            write(context, layout, f"Process {link.pid} {silence(link)}", "UNLINKED")
+            text = "End Now" if link.barred == ENDING else "End It"
+            layout.operator("physhdr.backend_shutdown", text=text, icon="QUIT")
+        return
+    if welcome and welcome.version != session().version:
+        text = f"The trainer is of version {welcome.version}: shut it down to use {session().version}"
+        write(context, layout, text, "ERROR")
+        layout.operator("physhdr.backend_shutdown", text="Shut Down Trainer", icon="QUIT")
+    if welcome and not state.job.in_control:
+        write(context, layout, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
+        layout.operator("physhdr.control_take", icon="UNLOCKED")
 
 
 def draw_first(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
@@ -116,12 +88,6 @@ def draw_first(context: bpy.types.Context, layout: bpy.types.UILayout, state: St
     row = layout.row()
     row.scale_y = TALL
     row.operator("physhdr.model_import", text="Open a Splat…", icon="OUTLINER_OB_POINTCLOUD")
-
-
-def is_of_others(state: State) -> bool:
-    """Whether the process that runs is of another version, or another Blender's to steer."""
-    welcome = state.link.welcome
-    return welcome is not None and (welcome.version != session().version or not state.job.in_control)
 
 
 def warnings_of(report: dict) -> list[str]:
@@ -153,6 +119,4 @@ def report_line(report: dict) -> str:
     return ", ".join([*parts, str(report.get("device", ""))])
 
 
-register, unregister = bpy.utils.register_classes_factory(
-    (PHYSHDR_MT_backend, PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready)
-)
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_MT_backend,))

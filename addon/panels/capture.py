@@ -1,37 +1,52 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scale and ground of the selected model's capture."""
+"""From pictures to a trained model: the data set, the training, its results, and the trainer itself."""
+
+from typing import TYPE_CHECKING, ClassVar
 
 import bpy
 
 from ..blender import layout_of
-from ..model import origin
-from ..model.look import is_model
-from .parts import Subpanel, write
+from ..rendering.render_setup import has_model
+from ..runtime import session
+from . import backend, dataset, results, training
+from .parts import SidebarPanel
 
 
-class PHYSHDR_PT_capture(Subpanel, bpy.types.Panel):
-    bl_label = "Scale and Ground"
+class _Capture(SidebarPanel):
+    bl_label = "Capture"
+    bl_order = 1
+    if TYPE_CHECKING:
+        layout: bpy.types.UILayout | None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        state, layout = session().state, layout_of(self)
+        dataset.draw(context, layout, state)
+        if state.backend.ready:
+            training.draw(context, layout, state)
+            results.draw(context, layout, state)
+            backend.draw(context, layout, state)
+
+
+class PHYSHDR_PT_capture(_Capture, bpy.types.Panel):
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not is_behind(context)
+
+
+class PHYSHDR_PT_capture_behind(_Capture, bpy.types.Panel):
+    """The same, folded: a panel of its own, because Blender remembers of each whether it is open."""
+
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return is_model(context.object)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout, target = layout_of(self), context.object
-        assert is_model(target)
-        column = layout.column(align=True)
-        column.operator("physhdr.capture_scale", text="Scale by Two Points…", icon="DRIVER_DISTANCE")
-        column.operator("physhdr.capture_floor", text="Floor by Three Points…", icon="ORIENTATION_NORMAL")
-        column.operator("physhdr.capture_height", text="By the Cameras' Height…", icon="VIEW_CAMERA")
-        known = context.scene.physhdr.captures.get(origin.capture_of(target))
-        if known is None:
-            write(context, layout, "Photos tell neither how large things are nor where the floor is", "INFO")
-            return
-        facts = ["metres" if known.has_scale else "scale as imported"]
-        facts.append("floor at z = 0" if known.has_floor else "ground as imported")
-        row = layout.row(align=True)
-        row.label(text=", ".join(facts).capitalize(), icon="CHECKMARK")
-        row.operator("physhdr.capture_reset", text="", icon="LOOP_BACK")
+        return is_behind(context)
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_capture,))
+def is_behind(context: bpy.types.Context) -> bool:
+    """Whether what the user does now is something else: with a model in the scene, or without a trainer."""
+    state = session().state
+    return not state.active and (not state.backend.ready or has_model(context.scene))
+
+
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_capture, PHYSHDR_PT_capture_behind))

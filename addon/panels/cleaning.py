@@ -12,7 +12,7 @@ from ..model.attributes import CAMERA_DISTANCE, CONFIDENCE
 from ..model.cleaning import Cleaning
 from ..model.look import cleaning_of, is_model, kept_of
 from ..viewport import overlay
-from .parts import Subpanel, write
+from .parts import ModelSubpanel, write
 
 #: A slider that moves is waited for so long, seconds: counting a million Gaussians takes longer than drawing.
 PATIENCE = 0.15
@@ -82,9 +82,8 @@ def _measured(cloud: bpy.types.PointCloud) -> tuple[float, ...]:
     return tuple(attribute.data[index].value for index in range(0, count, max(1, count // SAMPLES)))
 
 
-class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):
+class PHYSHDR_PT_cleaning(ModelSubpanel, bpy.types.Panel):
     bl_label = "Clean"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender wants a set
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -119,10 +118,9 @@ class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):
         layout.operator("physhdr.model_bake", text="Bake to PLY…", icon="EXPORT")
 
 
-class PHYSHDR_PT_culling(Subpanel, bpy.types.Panel):
+class PHYSHDR_PT_culling(ModelSubpanel, bpy.types.Panel):
     bl_label = "Leave Out in Renders"
     bl_parent_id = "PHYSHDR_PT_cleaning"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender wants a set
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -3,70 +3,65 @@
 
 import bpy
 
-from ..blender import layout_of
-from ..dataset import dataset_dialog
+from ..dataset import rig_preview
 from ..operators.base import choices
-from ..runtime import session
 from ..session.state import PHOTOS, Photos, Prepared, State
 from ..session.tasks import duration
-from .parts import BOX, Subpanel, button, first_line, reasons, shortened, write
+from .parts import BOX, button, first_line, reasons, shortened, write
 
 
-class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
-    bl_label = "Data Set"
+def draw(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """The folder, what it holds, and the two ways to make one."""
+    layout.prop(context.scene.physhdr, "data", text="")
+    if state.dataset.folder and state.dataset.folder == choices(context).data:
+        draw_report(context, layout, state)
+    photos = choices(context).photos
+    if photos:
+        draw_photos(context, layout.box(), state, photos)
+    column = layout.column(align=True)
+    text = "Prepare Other Photos…" if photos else "Prepare Photos…"
+    if state.backend.ready:
+        button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
+    text = "Render from This Scene…"
+    button(context, column, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
+    if rig_preview.pinned():
+        column.operator("physhdr.rig_show", text="Hide Cameras", icon="OUTLINER_DATA_CAMERA", depress=True)
 
-    def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, layout_of(self)
-        layout.prop(context.scene.physhdr, "data", text="")
-        if state.dataset.folder and state.dataset.folder == choices(context).data:
-            draw_report(context, layout, state)
-        photos = choices(context).photos
-        if photos:
-            self._draw_photos(context, layout.box(), state, photos)
-        column = layout.column(align=True)
-        text = "Prepare Other Photos…" if photos else "Prepare Photos…"
-        if state.backend.ready:
-            button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
-        text = "Render from This Scene…"
-        button(context, column, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
-        dataset_dialog.draw_in_panel(context, column)
 
-    def _draw_photos(
-        self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State, folder: str
-    ) -> None:
-        """What was understood of the photos, what can be chosen, and the button for the long work."""
-        row = layout.row(align=True)
-        row.label(text=shortened(folder, context), icon="FILE_FOLDER")
-        row.operator("physhdr.photos_forget", text="", icon="X")
-        found = state.photos if state.photos.folder == folder else Photos()
-        column = layout.column(align=True)
-        for line in found.lines:
-            write(context, column, line, beside=BOX)
-        for warning in found.warnings:
-            write(context, column, warning, "ERROR", beside=BOX)
-        if found.problem:
-            write(context, column, f"{found.problem.message}. {found.problem.hint}", "ERROR", beside=BOX)
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
-        settings = context.scene.physhdr
-        for name in ("photos_out", "photos_width", "photos_handheld"):
-            column.prop(settings, name)
-        head, more = layout.panel("physhdr_photos_more", default_closed=True)
-        head.label(text="If It Is Misunderstood")
-        if more is not None:
-            more.use_property_split = True
-            more.use_property_decorate = False
-            for name in ("bracket", "exposures", "lens"):
-                more.prop(settings, f"photos_{name}")
-            more.use_property_split = False  # for the longest name there is only so room beside its box
-            for name in ("same_exposure", "borrow_poses", "partial"):
-                more.prop(settings, f"photos_{name}")
-        if found.seconds >= 0.0:
-            write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME", beside=BOX)
-        button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
-        if not state.task(PHOTOS):
-            reasons(context, layout, state, "photos", BOX)
+def draw_photos(context: bpy.types.Context, layout: bpy.types.UILayout, state: State, folder: str) -> None:
+    """What was understood of the photos, what can be chosen, and the button for the long work."""
+    row = layout.row(align=True)
+    row.label(text=shortened(folder, context), icon="FILE_FOLDER")
+    row.operator("physhdr.photos_forget", text="", icon="X")
+    found = state.photos if state.photos.folder == folder else Photos()
+    column = layout.column(align=True)
+    for line in found.lines:
+        write(context, column, line, beside=BOX)
+    for warning in found.warnings:
+        write(context, column, warning, "ERROR", beside=BOX)
+    if found.problem:
+        write(context, column, f"{found.problem.message}. {found.problem.hint}", "ERROR", beside=BOX)
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    settings = context.scene.physhdr
+    for name in ("photos_out", "photos_width", "photos_handheld"):
+        column.prop(settings, name)
+    head, more = layout.panel("physhdr_photos_more", default_closed=True)
+    head.label(text="If It Is Misunderstood")
+    if more is not None:
+        more.use_property_split = True
+        more.use_property_decorate = False
+        for name in ("bracket", "exposures", "lens"):
+            more.prop(settings, f"photos_{name}")
+        more.use_property_split = False  # for the longest name there is only so room beside its box
+        for name in ("same_exposure", "borrow_poses", "partial"):
+            more.prop(settings, f"photos_{name}")
+    if found.seconds >= 0.0:
+        write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME", beside=BOX)
+    button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
+    if not state.task(PHOTOS):
+        reasons(context, layout, state, "photos", BOX)
 
 
 def draw_report(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
@@ -95,6 +90,3 @@ def draw_report(context: bpy.types.Context, layout: bpy.types.UILayout, state: S
             write(context, column, line)
     for warning in warnings:
         write(context, column, warning, "ERROR")
-
-
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_dataset,))

@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The capture as a light: the model's probes, what of them is a guess, and the world that they light."""
+"""CG in the capture: its light, with what of that is a guess, and the ground that takes its shadow."""
+
+from typing import ClassVar
 
 import bpy
 
 from ..blender import layout_of
-from ..light import lighting, probes
+from ..light import cg, lighting, probes
 from ..light.probe_checks import warnings_of
 from ..operators.lighting import model_in
+from ..rendering.render_setup import has_model
 from ..runtime import session
 from ..session.light import LIGHT
-from .parts import Subpanel, write
+from .parts import ModelSubpanel, write
 
 
-class PHYSHDR_PT_light(Subpanel, bpy.types.Panel):
-    bl_label = "Light"
+class PHYSHDR_PT_light(ModelSubpanel, bpy.types.Panel):
+    bl_label = "Light and CG"
+    bl_options: ClassVar[set[str]] = set()
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return model_in(context) is not None or lighting.is_lit(context.scene.world)
+        return has_model(context.scene) or lighting.is_lit(context.scene.world)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, model = layout_of(self), model_in(context)
@@ -39,6 +43,20 @@ class PHYSHDR_PT_light(Subpanel, bpy.types.Panel):
             row.operator("physhdr.light_reset", text="As Before", icon="LOOP_BACK")
             if model is not None and context.scene.world[lighting.MODEL] != model:
                 write(context, layout, "Another model lights this scene", "INFO")
+        draw_cg(context, layout)
+
+
+def draw_cg(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    """The ground of CG, and why its shadow would not be drawn."""
+    scene = context.scene
+    row = layout.row(align=True)
+    row.operator("physhdr.cg_here", icon="PIVOT_CURSOR")
+    if not cg.is_there(scene):
+        write(context, layout, "A ground at the 3D cursor: shadows of CG fall on the capture", "INFO")
+        return
+    row.operator("physhdr.cg_reset", text="", icon="X")
+    for reason in cg.hindrances(scene):
+        write(context, layout, reason, "ERROR")
 
 
 def _places(context: bpy.types.Context) -> str:

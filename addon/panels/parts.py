@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What panels are made of: texts that wrap, buttons that say why they are greyed, bars, problems."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import blf
 import bpy
@@ -32,8 +32,9 @@ class SidebarPanel:
     bl_category = "PhysHDR"
 
 
-class Subpanel(SidebarPanel):
-    bl_parent_id = "PHYSHDR_PT_train"
+class ModelSubpanel(SidebarPanel):
+    bl_parent_id = "PHYSHDR_PT_model"
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
 
 
 def draw_problem(context: bpy.types.Context, layout: bpy.types.UILayout, problem: Problem) -> None:

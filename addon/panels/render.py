@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a render of the scene would show wrong of its models, and what sets it right."""
 
+from typing import TYPE_CHECKING
+
 import bpy
 
 from ..blender import layout_of
@@ -10,11 +12,12 @@ from ..model.response_nodes import OVER_BLACK
 from ..operators.render import model_for, model_to_develop_by
 from ..rendering import develop
 from ..rendering.render_setup import has_model, render_problems
-from .parts import Subpanel, write
+from .parts import SidebarPanel, write
 
 
-class PHYSHDR_PT_render(Subpanel, bpy.types.Panel):
-    bl_label = "Render"
+class _Render:
+    if TYPE_CHECKING:
+        layout: bpy.types.UILayout | None
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -32,6 +35,20 @@ class PHYSHDR_PT_render(Subpanel, bpy.types.Panel):
         row.operator("physhdr.render_setup", icon="SCENE")
         draw_developing(context, layout)
         draw_cameras(context, layout)
+
+
+class PHYSHDR_PT_render(_Render, SidebarPanel, bpy.types.Panel):
+    bl_label = "Render"
+    bl_order = 3
+
+
+class PHYSHDR_PT_render_properties(_Render, bpy.types.Panel):
+    """The same where Blender has what decides a render."""
+
+    bl_label = "PhysHDR"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "render"
 
 
 def draw_developing(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
@@ -75,4 +92,4 @@ def draw_cameras(context: bpy.types.Context, layout: bpy.types.UILayout) -> None
     layout.operator("physhdr.render_setup", text=text, icon="FULLSCREEN_ENTER").use_size = True
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_render,))
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_render, PHYSHDR_PT_render_properties))

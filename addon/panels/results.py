@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ...bridge.run_folder import REPORT_FILE, SHEET_FILE
-from ..blender import layout_of
 from ..operators.results import made_of, page_of, shown_run
-from ..runtime import session
 from ..session.results import (
     EVALUATE,
     VIDEO,
@@ -18,7 +16,8 @@ from ..session.results import (
     evaluation_of,
     why_not_on_run,
 )
-from .parts import Subpanel, write
+from ..session.state import State
+from .parts import write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -35,41 +34,40 @@ FILES: "tuple[tuple[str, str, IconItems], ...]" = (
 )
 
 
-class PHYSHDR_PT_results(Subpanel, bpy.types.Panel):
-    bl_label = "Results"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender's name for it)
+def draw(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """Where there is a run to judge; folded while one is trained."""
+    run = shown_run(context, state)
+    if not run:
+        return
+    # Two folds, so that each remembers for itself whether it is open.
+    fold = "physhdr_results_later" if state.active else "physhdr_results"
+    head, body = layout.panel(fold, default_closed=state.active)
+    head.label(text="Results")
+    if body is None:
+        return
+    found = evaluation_of(run)
+    if found:
+        draw_evaluation(context, body, run, found)
+    for buttons in BUTTONS:
+        row = body.row(align=True)
+        for name, text, icon in buttons:
+            cell = row.row(align=True)
+            cell.enabled = not why_not_on_run(state, name, run)
+            cell.operator(f"physhdr.results_{name}", text=text, icon=icon)
+    reason = why_not_on_run(state, EVALUATE, run)
+    if reason and not state.task(EVALUATE):
+        write(context, body, reason, "INFO")
+    if (video := made_of(run)) and not state.task(VIDEO):
+        draw_file(body, video, os.path.basename(video), "FILE_MOVIE")
+    if (page := page_of(run)) and not state.task(WEB):
+        draw_file(body, page, "Open Web Page", "WINDOW")
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(shown_run(context, session().state))
 
-    def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, layout_of(self)
-        run = shown_run(context, state)
-        found = evaluation_of(run)
-        if found:
-            draw_evaluation(context, layout, run, found)
-        for buttons in BUTTONS:
-            row = layout.row(align=True)
-            for name, text, icon in buttons:
-                cell = row.row(align=True)
-                cell.enabled = not why_not_on_run(state, name, run)
-                cell.operator(f"physhdr.results_{name}", text=text, icon=icon)
-        reason = why_not_on_run(state, EVALUATE, run)
-        if reason and not state.task(EVALUATE):
-            write(context, layout, reason, "INFO")
-        video = made_of(run)
-        if video and not state.task(VIDEO):
-            row = layout.row(align=True)
-            row.operator("wm.path_open", text=os.path.basename(video), icon="FILE_MOVIE").filepath = video
-            folder = os.path.dirname(video)
-            row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = folder
-        page = page_of(run)
-        if page and not state.task(WEB):
-            row = layout.row(align=True)
-            row.operator("wm.path_open", text="Open Web Page", icon="WINDOW").filepath = page
-            folder = os.path.dirname(page)
-            row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = folder
+def draw_file(layout: bpy.types.UILayout, path: str, text: str, icon: "IconItems") -> None:
+    """Buttons that open what was made, and its folder."""
+    row = layout.row(align=True)
+    row.operator("wm.path_open", text=text, icon=icon).filepath = path
+    row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = os.path.dirname(path)
 
 
 def draw_evaluation(
@@ -91,6 +89,3 @@ def draw_evaluation(
         path = os.path.join(run, name)
         if os.path.isfile(path):
             row.operator("wm.path_open", text=text, icon=icon).filepath = path
-
-
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_results,))

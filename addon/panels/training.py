@@ -7,6 +7,7 @@ not change when it is pressed. What comes and goes (curves, reasons, the end of 
 
 import bpy
 
+from ...bridge.presets import USUAL
 from .. import plot
 from ..blender import layout_of
 from ..chosen_run import run_of
@@ -14,8 +15,8 @@ from ..operators.base import choices
 from ..runtime import session
 from ..session.advice import is_of_file, why_not
 from ..session.state import State
-from ..settings import PHYSHDR_Settings
-from .parts import Subpanel, button, reasons, write
+from ..settings import PHYSHDR_Settings, preferences
+from .parts import button, reasons, write
 
 #: Height of the curves, in rows.
 CURVES = 11.0
@@ -23,38 +24,39 @@ CURVES = 11.0
 LABEL = 0.4
 
 
-class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
-    bl_label = "Training"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return session().state.backend.ready
-
-    def draw(self, context: bpy.types.Context) -> None:
-        state, layout, settings = session().state, layout_of(self), context.scene.physhdr
-        column = layout.column()
-        column.enabled = not state.active
-        draw_choices(column, settings)
-        column = layout.column(align=True)
-        row = column.row(align=True)
-        if resumes(context, state):
-            button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
-        else:
-            button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
-        row.menu("PHYSHDR_MT_train", text="", icon="DOWNARROW_HLT")
-        row = column.row(align=True)
-        if state.job.state == "paused":
-            button(context, row, state, "continue", "physhdr.train_continue", "Continue", "PLAY")
-        else:
-            button(context, row, state, "pause", "physhdr.train_pause", "Pause", "PAUSE")
-        button(context, row, state, "stop", "physhdr.train_stop", "Stop", "SNAP_FACE")
-        draw_preview(context, column.row(align=True), state, settings)
-        draw_result(context, layout, state)
-        if state.stopping:
-            button(context, layout, state, "end", "physhdr.train_end", "End Now", "CANCEL")
-        if not state.active:
-            reasons(context, layout, state, "start")
-        draw_curves(context, layout, state, settings)
+def draw(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """A training of the data set that is chosen; folded while none is."""
+    settings, chosen = context.scene.physhdr, choices(context)
+    begins = bool(chosen.data or chosen.out_has_run or state.job.run)
+    # Two folds, so that each remembers for itself whether it is open.
+    fold = "physhdr_training" if begins else "physhdr_training_later"
+    head, body = layout.panel(fold, default_closed=not begins)
+    head.label(text="Training")
+    if body is None:
+        return
+    column = body.column()
+    column.enabled = not state.active
+    draw_choices(column, settings)
+    column = body.column(align=True)
+    row = column.row(align=True)
+    if resumes(context, state):
+        button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
+    else:
+        button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
+    row.menu("PHYSHDR_MT_train", text="", icon="DOWNARROW_HLT")
+    row = column.row(align=True)
+    if state.job.state == "paused":
+        button(context, row, state, "continue", "physhdr.train_continue", "Continue", "PLAY")
+    else:
+        button(context, row, state, "pause", "physhdr.train_pause", "Pause", "PAUSE")
+    button(context, row, state, "stop", "physhdr.train_stop", "Stop", "SNAP_FACE")
+    draw_preview(context, column.row(align=True), state, settings)
+    draw_result(context, body, state)
+    if state.stopping:
+        button(context, body, state, "end", "physhdr.train_end", "End Now", "CANCEL")
+    if not state.active:
+        reasons(context, body, state, "start")
+    draw_curves(context, body, state, settings)
 
 
 class PHYSHDR_MT_train(bpy.types.Menu):
@@ -88,7 +90,32 @@ def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None
     layout.use_property_split = True
     layout.use_property_decorate = False
     layout.prop(settings, "out", placeholder="" if settings.out else run_of(settings))
-    layout.prop(settings, "preset")
+    draw_method(layout, settings)
+    head, more = layout.panel("physhdr_training_more", default_closed=True)
+    head.label(text="Advanced")
+    if more is None:
+        return
+    more.use_property_split = True
+    more.use_property_decorate = False
+    draw_iterations(more, settings)
+    for name in ("exposure_mode", "device"):
+        more.prop(settings, name)
+
+
+def draw_method(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None:
+    """Three by their effort; a list of all methods for research, or where the file has chosen another."""
+    usual = [preset.name for preset in USUAL]
+    if preferences().research or settings.preset not in usual:
+        layout.prop(settings, "preset")
+        return
+    row = layout.row(align=True)
+    row.use_property_split = False
+    for name in usual:
+        row.prop_enum(settings, "preset", name)
+
+
+def draw_iterations(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None:
+    """Their number, or that it is found from the data."""
     split = layout.split(factor=LABEL)
     label = split.row()
     label.alignment = "RIGHT"
@@ -100,13 +127,6 @@ def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None
     else:
         row.prop(settings, "iterations", text="")
         row.prop(settings, "iterations_automatic", text="", icon="X", toggle=True)
-    head, more = layout.panel("physhdr_training_more", default_closed=True)
-    head.label(text="More")
-    if more is not None:
-        more.use_property_split = True
-        more.use_property_decorate = False
-        for name in ("exposure_mode", "device"):
-            more.prop(settings, name)
 
 
 def draw_result(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
@@ -135,4 +155,4 @@ def draw_curves(
         write(context, body, "Orange: loss, what is still wrong")
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_MT_train, PHYSHDR_PT_training))
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_MT_train,))

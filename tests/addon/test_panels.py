@@ -6,7 +6,7 @@ Panels draw onto a layout that keeps what is put on it, with the room that Blend
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +15,11 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from physhdr.addon import plot, runtime, settings  # noqa: E402
 from physhdr.addon.capture import originals  # noqa: E402
-from physhdr.addon.panels import parts, status_bar  # noqa: E402
-from physhdr.addon.panels.backend import PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready  # noqa: E402
-from physhdr.addon.panels.dataset import PHYSHDR_PT_dataset  # noqa: E402
-from physhdr.addon.panels.illumination import PHYSHDR_PT_illumination  # noqa: E402
-from physhdr.addon.panels.train import PHYSHDR_PT_train  # noqa: E402
-from physhdr.addon.panels.training import PHYSHDR_PT_training  # noqa: E402
+from physhdr.addon.panels import backend, dataset, parts, status_bar, training  # noqa: E402
+from physhdr.addon.panels.capture import PHYSHDR_PT_capture, PHYSHDR_PT_capture_behind  # noqa: E402
+from physhdr.addon.panels.model import PHYSHDR_PT_look, PHYSHDR_PT_model  # noqa: E402
+from physhdr.addon.panels.render import PHYSHDR_PT_render, PHYSHDR_PT_render_properties  # noqa: E402
+from physhdr.addon.panels.status import PHYSHDR_PT_status  # noqa: E402
 from physhdr.addon.session import tasks  # noqa: E402
 from physhdr.addon.session.state import (  # noqa: E402
     Backend,
@@ -40,14 +39,7 @@ from physhdr.bridge.messages import Failure, History, JobStatus, Welcome  # noqa
 WIDTH, PADDING, ARROW, ICON = 280, 12, 16, 22
 #: Of a row that is split into label and value.
 LABEL_SHARE = 0.4
-PANELS = (
-    PHYSHDR_PT_train,
-    PHYSHDR_PT_backend,
-    PHYSHDR_PT_dataset,
-    PHYSHDR_PT_training,
-    PHYSHDR_PT_illumination,
-    PHYSHDR_PT_backend_ready,
-)
+PANELS = (PHYSHDR_PT_status, PHYSHDR_PT_capture, PHYSHDR_PT_model)
 #: Words that an artist has no use for.
 JARGON = ("exp1", "exp3", "first points", "anchor", "Gaussians", "PSNR 3")
 
@@ -112,6 +104,10 @@ class Layout:
 
     def template_icon(self, number, scale=1.0):
         self.put("picture", "", "NONE", scale=scale)
+
+    def prop_enum(self, data, name, value, text=None, icon="NONE"):
+        found = data.bl_rna.properties[name].enum_items[value].name
+        self.put("button", found if text is None else text, icon, name)
 
     def prop(self, data, name, text=None, icon="NONE", toggle=False, placeholder="", **_):
         found = data.bl_rna.properties[name]
@@ -199,7 +195,7 @@ def height(cells):
 
 
 def draw(panel, state=None):
-    """The layout on which a panel was drawn, and what was asked of it."""
+    """The layout on which a panel was drawn, or a part of one (a module), and what was asked of it."""
     if state is not None:
         runtime.session().state = state
     context = SimpleNamespace(
@@ -214,12 +210,12 @@ def draw(panel, state=None):
             overlay=SimpleNamespace(show_overlays=True),
         ),
     )
-    drawn = SimpleNamespace(layout=Layout(WIDTH - parts.FRAME))
-    for name in ("_draw_ready", "_draw_photos"):
-        if hasattr(panel, name):
-            setattr(drawn, name, getattr(panel, name).__get__(drawn))
-    panel.draw(drawn, context)
-    return drawn.layout
+    layout = Layout(WIDTH - parts.FRAME)
+    if isinstance(panel, ModuleType):
+        panel.draw(context, layout, runtime.session().state)
+    else:
+        panel.draw(SimpleNamespace(layout=layout), context)
+    return layout
 
 
 @pytest.fixture
@@ -252,7 +248,8 @@ def states(data):
     report = {"versions": {"torch": "2.13.0+cpu", "numba": "0.68.1"}, "device": "cpu", "missing": []}
     ready = State(
         backend=Backend("/home/somebody/.config/blender/5.2/extensions/backend/bin/python", report),
-        link=Link("connected", WELCOME, pid=29444),
+        link=Link("connected", replace(WELCOME, version=runtime.session().version), pid=29444),
+        job=JobStatus(in_control=True),
         dataset=Dataset(
             data,
             (
@@ -354,16 +351,16 @@ def test_no_text_is_cut_at_the_default_width(chosen, name, tmp_path, monkeypatch
 def test_what_a_file_names_outside_it_is_shown_with_its_buttons(chosen, tmp_path):
     """One button for what is on this computer, one for each place in a network; none where all is chosen."""
     ready = states(chosen.data)["ready"]
-    assert "physhdr.outside_look" not in [name for *_, name, _ in texts(draw(PHYSHDR_PT_train, ready))]
+    assert "physhdr.outside_look" not in [name for *_, name, _ in texts(draw(PHYSHDR_PT_status, ready))]
     network = "\\\\server\\share\\a folder with a name that is a little longer than the panel"
     with settings.respelling():  # as a file names them
         chosen.out = network
-    shown = list(texts(draw(PHYSHDR_PT_train, ready)))
+    shown = list(texts(draw(PHYSHDR_PT_status, ready)))
     buttons = [text for _, text, _, name, _ in shown if name == "physhdr.outside_look"]
     assert buttons == [""]
     with settings.respelling():
         chosen.photos = str(tmp_path / "photographs that were taken in the kitchen of a friend")
-    shown = list(texts(draw(PHYSHDR_PT_train, ready)))
+    shown = list(texts(draw(PHYSHDR_PT_status, ready)))
     buttons = [text for _, text, _, name, _ in shown if name == "physhdr.outside_look"]
     assert buttons == ["", "physhdr.outside_look"]  # the second's text is the operator's own name
     assert any(text.endswith("kitchen of a friend") for _, text, *_ in shown)
@@ -379,12 +376,12 @@ def test_no_text_of_a_models_sliders_is_cut(chosen, make_model, write):
     model = make_model(lights=("ambient", "pendant"))
     model = replace(model, tone_curve_log_exposure=steps, tone_curve=curve)
     bpy.ops.physhdr.model_import(filepath=str(write(model)), name="kitchen")
-    shown = list(texts(draw(PHYSHDR_PT_illumination, State())))
+    shown = [*texts(draw(PHYSHDR_PT_model, State())), *texts(draw(PHYSHDR_PT_look))]
     for kind, text, free, *_ in shown:
         assert parts.text_width(text) <= free, f"{kind} {text!r} is cut"
-    assert {"kitchen", "Exposure (EV)", "ambient", "pendant", "Learned Tones"} <= {
-        text for _, text, *_ in shown
-    }
+    there = {text for _, text, *_ in shown}
+    assert {"kitchen", "Exposure (EV)", "ambient", "pendant"} <= there
+    assert {"Learned Tones", "View Dependent", "Camera Splats", "Image Width", "3D View"} <= there
     assert not any("no model yet" in text for _, text, *_ in shown)  # it needs no backend
 
 
@@ -403,7 +400,7 @@ def test_sliders_of_the_model_that_an_instance_shows(chosen, make_model, write):
     scene.collection.objects.link(other)
     for active, selected in ((holder, True), (other, False)):
         bpy.context.view_layer.objects.active = active
-        shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_illumination, State()))]
+        shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_model, State()))]
         told = " ".join(shown)
         assert ("kitchen" in shown) == ("all of its instances follow" in told) == selected
         assert ("Select a model for its sliders" in told) == (not selected)
@@ -426,7 +423,7 @@ def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
         "rendering",
     )
     begun, halted = ("train_start", "train_resume"), ("train_pause", "train_continue")
-    places = {name: height(draw(PHYSHDR_PT_training, found[name]))[0] for name in names}
+    places = {name: height(draw(training, found[name]))[0] for name in names}
     there = {name: [word.removeprefix("physhdr.") for _, word in places[name]] for name in names}
     for group in (begun, halted, ("train_stop",), ("run_open",), ("result_import",)):
         shown = {name: [each for each in group if each in there[name]] for name in names}
@@ -455,7 +452,7 @@ def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
     ]
     assert places["stopping"]["operator", "physhdr.train_end"][0] > max(above)
     # What stands above it keeps its height as well: the first panel, whose bar comes and goes.
-    heights = {name: height(draw(PHYSHDR_PT_train, found[name]))[1] for name in (*names, "checking")}
+    heights = {name: height(draw(PHYSHDR_PT_status, found[name]))[1] for name in names}
     assert max(heights.values()) == pytest.approx(min(heights.values())), heights
 
 
@@ -463,10 +460,10 @@ def test_the_sliders_of_the_preview_stay_where_they_are(chosen):
     found = states(chosen.data)
     settings.follow_lights(chosen, LIGHTS)
     rows = {}
-    for name in ("ready", "training", "finished", "open"):
+    for name in ("training", "finished", "open"):
         for live in (False, True):
             chosen.preview = live
-            places, _ = height(draw(PHYSHDR_PT_illumination, found[name]))
+            places, _ = height(draw(PHYSHDR_PT_model, found[name]))
             rows[name, live] = places["value", "exposure_ev"][0]
     assert set(rows.values()) == {0.0}
 
@@ -474,7 +471,7 @@ def test_the_sliders_of_the_preview_stay_where_they_are(chosen):
 def test_the_report_is_folded_and_its_warnings_are_not(chosen):
     found = states(chosen.data)
     for name, is_open in (("ready", False), ("warned", True)):
-        shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_dataset, found[name]))]
+        shown = [text for _, text, *_ in texts(draw(dataset, found[name]))]
         assert "interior: 18 training views" in shown
         assert any("stops" in text for text in shown) == is_open
         assert any("no test split" in text for text in shown) == is_open
@@ -484,26 +481,71 @@ def test_a_data_set_that_is_looked_at_says_so(chosen):
     """On a slow drive nothing is known of it for a while."""
     ready = states(chosen.data)["ready"]
     looking = replace(ready, dataset=Dataset(ready.dataset.folder))
-    shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_dataset, looking))]
+    shown = [text for _, text, *_ in texts(draw(dataset, looking))]
     assert "Looking at it" in shown
 
 
-def test_the_backend_is_first_until_there_is_one_and_then_last_and_folded(chosen):
+def test_capture_is_open_until_a_model_is_there_and_while_it_trains(chosen, make_model, write):
+    """One of the two that are the same, of which the other begins folded."""
     found = states(chosen.data)
-    for name, first in (("nothing", True), ("ready", False)):
+
+    def shown(name):
         runtime.session().state = found[name]
-        assert PHYSHDR_PT_backend.poll(bpy.context) == first
-        assert PHYSHDR_PT_backend_ready.poll(bpy.context) == (not first)
-    assert "DEFAULT_CLOSED" in PHYSHDR_PT_backend_ready.bl_options
-    assert PHYSHDR_PT_backend_ready.bl_order > getattr(PHYSHDR_PT_illumination, "bl_order", 0)
+        return [cls for cls in (PHYSHDR_PT_capture, PHYSHDR_PT_capture_behind) if cls.poll(bpy.context)]
+
+    assert shown("nothing") == [PHYSHDR_PT_capture_behind]  # the first screen has two ways in
+    assert shown("ready") == shown("finished") == [PHYSHDR_PT_capture]
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())), name="kitchen")
+    assert shown("ready") == shown("finished") == [PHYSHDR_PT_capture_behind]
+    assert shown("training") == [PHYSHDR_PT_capture]
+    assert "DEFAULT_CLOSED" in PHYSHDR_PT_capture_behind.bl_options
 
 
-def test_what_the_check_found_odd_is_told(chosen):
+def test_the_first_screen_is_the_two_ways_in(chosen):
+    """Until there is a trainer; what then stands in its place says how it is."""
+    ways = ["physhdr.backend_install", "physhdr.model_import"]
+    for name, there in (("nothing", ways), ("ready", [])):
+        shown = [each for *_, each, _ in texts(draw(PHYSHDR_PT_status, states(chosen.data)[name]))]
+        assert [each for each in shown if each in ways] == there
+
+
+def test_another_blenders_trainer_is_seen_whatever_is_folded(chosen):
+    shown = [each for *_, each, _ in texts(draw(PHYSHDR_PT_status, states(chosen.data)["others"]))]
+    assert "physhdr.control_take" in shown
+
+
+def test_methods_for_research_are_offered_where_the_preferences_say_so(chosen, monkeypatch):
+    state = states(chosen.data)["ready"]
+
+    def shown():
+        drawn = texts(draw(training, state))
+        return [(kind, text) for kind, text, _, name, _ in drawn if name == "preset"]
+
+    usual = [("button", "Fast"), ("button", "Default"), ("button", "High")]
+    assert chosen.preset == "default" and shown() == usual
+    chosen.preset = "paper"  # by a script, or a file: it is seen
+    assert shown()[0] == ("value", "Method")
+    chosen.preset = "high"
+    assert shown() == usual
+    monkeypatch.setattr(settings._Defaults, "research", True)
+    assert shown()[0] == ("value", "Method")
+
+
+def test_renders_are_set_up_in_the_sidebar_and_among_blenders_own_settings(chosen, make_model, write):
+    panels = PHYSHDR_PT_render, PHYSHDR_PT_render_properties
+    assert not any(panel.poll(bpy.context) for panel in panels)
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())), name="kitchen")
+    assert all(panel.poll(bpy.context) for panel in panels)
+    drawn = [list(texts(draw(panel))) for panel in panels]
+    assert drawn[0] == drawn[1] and "physhdr.render_setup" in [name for *_, name, _ in drawn[0]]
+    assert PHYSHDR_PT_render_properties.bl_context == "render"
+
+
+def test_what_the_check_found_odd_is_told(chosen, monkeypatch):
     state = states(chosen.data)["ready"]
     report = {**state.backend.report, "warnings": ["torch 2.20.0 was not tested: torch>=2.8,<2.14"]}
-    shown = texts(
-        draw(PHYSHDR_PT_backend_ready, replace(state, backend=replace(state.backend, report=report)))
-    )
+    monkeypatch.setattr(Layout, "unfold", True)
+    shown = texts(draw(backend, replace(state, backend=replace(state.backend, report=report))))
     assert "was not tested" in " ".join(text for _, text, *_ in shown)
 
 
@@ -511,28 +553,28 @@ def test_what_the_check_found_odd_is_told(chosen):
     ("torch", "device", "told"),
     [("2.13.0+cu126", "cpu", True), ("2.13.0+cu126", "cuda", False), ("2.13.0+cpu", "cpu", False)],
 )
-def test_why_a_card_is_not_used_is_told_where_torch_is_for_one(chosen, torch, device, told):
+def test_why_a_card_is_not_used_is_told_where_torch_is_for_one(chosen, monkeypatch, torch, device, told):
     state = states(chosen.data)["ready"]
     why = "on the CPU (Warp's kernels draw a Gaussian wrongly (by 1))"
     report = {**state.backend.report, "versions": {"torch": torch}, "device": device, "why": why}
-    shown = texts(
-        draw(PHYSHDR_PT_backend_ready, replace(state, backend=replace(state.backend, report=report)))
-    )
+    monkeypatch.setattr(Layout, "unfold", True)
+    shown = texts(draw(backend, replace(state, backend=replace(state.backend, report=report))))
     assert ("draw a Gaussian wrongly" in " ".join(text for _, text, *_ in shown)) == told
 
 
-def test_iterations_are_automatic_until_a_number_is_wanted(chosen):
+def test_iterations_are_automatic_until_a_number_is_wanted(chosen, monkeypatch):
+    monkeypatch.setattr(Layout, "unfold", True)
     state = states(chosen.data)["ready"]
 
     def shown():
-        return {name: text for kind, text, _, name, _ in texts(draw(PHYSHDR_PT_training, state)) if name}
+        return {name: text for kind, text, _, name, _ in texts(draw(training, state)) if name}
 
     assert chosen.iterations == 0 and shown()["iterations_automatic"] == "Automatic"
     assert "iterations" not in shown()
-    before = height(draw(PHYSHDR_PT_training, state))[1]
+    before = height(draw(training, state))[1]
     chosen.iterations_automatic = False
     assert chosen.iterations > 0 and "iterations" in shown()
-    assert height(draw(PHYSHDR_PT_training, state))[1] == before
+    assert height(draw(training, state))[1] == before
     chosen.iterations = 0  # as scripts say it
     assert chosen.iterations_automatic
 
@@ -541,7 +583,7 @@ def test_all_that_is_under_way_is_at_the_top_and_in_the_status_bar(chosen):
     """Whichever panel its button is in; with its name, its time left and a way to cancel it."""
     for name, title, _ in TASKS:
         state = State(tasks=(Running(name, "log", 0.4, "half way", 90.0),))
-        told = " ".join(text for _, text, *_ in texts(draw(PHYSHDR_PT_train, state)))
+        told = " ".join(text for _, text, *_ in texts(draw(PHYSHDR_PT_status, state)))
         assert f"{title} 40%" in told and "1 min 30 s left" in told
         assert list(status_bar.at_work(state)) == [(f"{title} 40%, 1 min 30 s left", 0.4, name, "")]
     job = replace(states(chosen.data)["training"], tasks=(Running("web", "log", 0.5, ""),))
@@ -555,11 +597,11 @@ def test_all_that_is_under_way_is_at_the_top_and_in_the_status_bar(chosen):
 def test_a_stage_without_progress_says_what_it_does_in_the_panel_and_in_the_status_bar(chosen):
     task = Running("photos", "log", 0.4, "matching photos", pace=Pace(95))
     said = "matching photos: 1 min 35 s so far"
-    assert said in [text for _, text, *_ in texts(draw(PHYSHDR_PT_train, State(tasks=(task,))))]
+    assert said in [text for _, text, *_ in texts(draw(PHYSHDR_PT_status, State(tasks=(task,))))]
     assert [work.stage for work in status_bar.at_work(State(tasks=(task,)))] == [said]
     state = replace(states(chosen.data)["training"], pace=Pace(40))
     said = "Iteration 1234: 40 s so far"
-    assert said in [text for _, text, *_ in texts(draw(PHYSHDR_PT_train, state))]
+    assert said in [text for _, text, *_ in texts(draw(PHYSHDR_PT_status, state))]
     assert [work.stage for work in status_bar.at_work(state)] == [said]
 
 
@@ -570,7 +612,7 @@ def test_every_long_task_ends_with_a_word_and_a_way_to_what_it_made(chosen, name
     made.write_text("", encoding="utf-8")
     state = states(chosen.data)["finished"]
     said = replace(state, made=Made(name, str(made)))
-    shown = list(texts(draw(PHYSHDR_PT_train, said)))
+    shown = list(texts(draw(PHYSHDR_PT_status, said)))
     assert ("label", f"{tasks.ENDED[name]}: made.html") in [each[:2] for each in shown]
     buttons = [text for kind, text, *_ in shown if kind == "operator"]
     assert buttons == (["Open"] if name in tasks.SHOWN else []) + ["Open Folder", ""]
@@ -580,16 +622,14 @@ def test_every_long_task_ends_with_a_word_and_a_way_to_what_it_made(chosen, name
     status_bar.draw(bar, bpy.context)
     assert f"{tasks.ENDED[name]}: made.html" in [text for _, text, *_ in texts(bar.layout)]
     long = replace(state, made=Made(name, "/home/somebody/" + "a rather long name " * 4))
-    assert not [each for each in texts(draw(PHYSHDR_PT_train, long)) if parts.text_width(each[1]) > each[2]]
-    assert height(draw(PHYSHDR_PT_train, said))[1] <= height(draw(PHYSHDR_PT_train, state))[1]
+    assert not [each for each in texts(draw(PHYSHDR_PT_status, long)) if parts.text_width(each[1]) > each[2]]
+    assert height(draw(PHYSHDR_PT_status, said))[1] <= height(draw(PHYSHDR_PT_status, state))[1]
 
 
 def test_hide_originals_is_offered_once_where_model_and_originals_are_in_each_others_way(chosen, monkeypatch):
     monkeypatch.setattr(originals, "is_offered", lambda scene: True)
     state = states(chosen.data)["open"]
-    shown = [
-        each for panel in PANELS if panel is not PHYSHDR_PT_backend for each in texts(draw(panel, state))
-    ]
+    shown = [each for panel in PANELS for each in texts(draw(panel, state))]
     assert [text for kind, text, *_ in shown if kind == "operator" and "Originals" in text] == [
         "Hide Originals"
     ]
@@ -600,7 +640,7 @@ def test_who_previews_while_another_runs_model_is_open_is_given_the_button(chose
     state = states(chosen.data)["open"]
     chosen.out = str(tmp_path / "mine")
     chosen.preview = True
-    shown = list(texts(draw(PHYSHDR_PT_illumination, state)))
+    shown = list(texts(draw(PHYSHDR_PT_model, state)))
     assert "Open Run" in [text for kind, text, *_ in shown if kind == "operator"]
     told = " ".join(text for kind, text, *_ in shown if kind == "label")
     assert "another run open, kitchen_run: open this file's instead" in told

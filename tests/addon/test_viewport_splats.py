@@ -14,7 +14,7 @@ import gpu  # noqa: E402
 from physhdr.addon import viewport  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, point_cloud  # noqa: E402
 from physhdr.addon.model.drawn import fingerprint  # noqa: E402
-from physhdr.addon.panels import illumination  # noqa: E402
+from physhdr.addon.panels import model as model_panel  # noqa: E402
 from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures  # noqa: E402
@@ -281,11 +281,11 @@ def test_confidence_is_drawn_in_its_colours(registered, renderer, make_model, wr
 
 def test_a_model_without_confidence_is_drawn_as_it_shines(target):
     ((_, (before,)),) = groups().values()
-    assert illumination.confidence_note(target) == ""
+    assert model_panel.confidence_note(target) == ""
     target.physhdr_viewport = "CONFIDENCE"
     ((_, (after,)),) = groups().values()
     assert after.splats is before.splats
-    assert "export it again" in illumination.confidence_note(target)
+    assert "export it again" in model_panel.confidence_note(target)
 
 
 def test_hidden_objects_are_not_drawn(target):

@@ -222,7 +222,7 @@ class Window:
         next(region for region in self.area.regions if region.type == "UI").active_panel_category = name
 
     def show_panels(self, *names: str) -> Iterator[float]:
-        """``yield from``: of the panel's parts only these, open; none: all, as they are by themselves."""
+        """``yield from``: below the top only these panels, open; none: all, as they are by themselves."""
         for cls in reversed(self._parts()):
             if cls.is_registered:
                 bpy.utils.unregister_class(cls)
@@ -243,11 +243,13 @@ class Window:
         yield from self.redrawn()
 
     def _parts(self) -> list[type]:
-        """The classes of the panel's parts, in their order, parts of parts last."""
+        """The classes of the sidebar's panels but for the top one, each after the one that it is in."""
         if not self._panels:
             known = [cls for cls in bpy.types.Panel.__subclasses__() if cls.__module__.startswith(EXTENSION)]
-            known = [cls for cls in known if cls.is_registered and hasattr(cls, "bl_parent_id")]
-            self._panels = sorted(known, key=lambda cls: cls.bl_parent_id != "PHYSHDR_PT_train")
+            known = [cls for cls in known if cls.is_registered and cls.bl_space_type == "VIEW_3D"]
+            depth = ("", "PHYSHDR_PT_model", "PHYSHDR_PT_cleaning").index
+            self._panels = sorted(known, key=lambda cls: depth(getattr(cls, "bl_parent_id", "")))
+            self._panels = [cls for cls in self._panels if cls.__name__ != "PHYSHDR_PT_status"]
         return self._panels
 
     def clear_scene(self) -> None:

@@ -66,7 +66,7 @@ def light(window: Window) -> Iterator[float]:
     bpy.context.view_layer.objects.active = model
     model.select_set(True)
     scene.cycles.samples = scene.cycles.preview_samples = 8
-    yield from window.show_panels("light", "illumination")
+    yield from window.show_panels("model", "light")
     window.shade("RENDERED", "BLENDER_EEVEE")
     yield from compiled(window, bpy.data.objects["grey"])
     yield from window.drawn()
@@ -137,7 +137,7 @@ def clean(window: Window) -> Iterator[float]:
     window.area.spaces.active.region_3d.view_perspective = "PERSP"
     view = window.region.data
     view.view_location, view.view_distance = (0.2, 1.4, 0.9), 14.0
-    yield from window.show_panels("cleaning")
+    yield from window.show_panels("model", "cleaning")
     yield from window.drawn()
     window.screenshot("5_clean")
     bpy.ops.physhdr.cleaning_box()

@@ -37,7 +37,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: "pendant" in settings.further_levels, 10, "a slider for the pendant")
     assert list(session.state.job.lights) == LIGHTS
     yield from window.until(lambda: session.state.job.state == "finished", 600, "finished")
-    yield from window.show_panels("training", "illumination")
+    yield from window.show_panels("capture", "model")
     pictures = []
     for level in (1.0, 3.0):
         settings.further_levels["pendant"].level = level

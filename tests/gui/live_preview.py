@@ -34,7 +34,7 @@ def test(window: Window) -> Iterator[float]:
     window.look_through(options.data / "transforms_test.json", 8)
     window.add_objects()
     settings.preview = True
-    yield from window.show_panels("illumination")  # its sliders in sight
+    yield from window.show_panels("model")  # its sliders in sight
     for level in LEVELS:
         settings.lighting_level = level
         yield from window.sharp()

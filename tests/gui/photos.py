@@ -69,7 +69,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
     target = bpy.context.object
     yield from window.drawn()
-    yield from window.show_panels("training", "illumination", "capture")
+    yield from window.show_panels("model", "scale")
     window.screenshot("4_imported")
     yield from find(window, target)
 

@@ -19,9 +19,7 @@ def test(window: Window) -> Iterator[float]:
     session = window.module("addon.runtime").session()
     settings = bpy.context.scene.physhdr
     settings.data, settings.out = str(options.data), str(run)
-    panels = window.module("addon.panels.results")
-    assert panels.PHYSHDR_PT_results.poll(bpy.context)
-    yield from window.show_panels("results")
+    yield from window.show_panels("capture")
     window.screenshot("1_before")
 
     assert bpy.ops.physhdr.results_evaluate() == {"FINISHED"}
@@ -34,7 +32,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.show_panels()
     window.screenshot("3_done")
     bpy.ops.physhdr.made_dismiss()
-    yield from window.show_panels("results")
+    yield from window.show_panels("capture")
     window.screenshot("3_evaluated")
 
     bpy.ops.physhdr.model_import(filepath=str(run / "model.safetensors"))
@@ -60,7 +58,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.redrawn()
     window.screenshot("5_filmed")
 
-    yield from window.show_panels("cleaning")
+    yield from window.show_panels("model", "cleaning")
     baked = run / "baked_in_blender.ply"
     before = window.grab()
     with window.override():

@@ -259,7 +259,7 @@ def test_a_model_is_written_to_a_name_of_its_own_alone(backend, enter, refusal, 
 
 def test_the_panel_offers_presets_that_there_are():
     offered = [preset.name for preset in IN_PANEL]
-    assert set(offered) < set(PRESET_NAMES) and offered[:4] == ["default", "fast", "paper", "baseline"]
+    assert set(offered) < set(PRESET_NAMES) and offered[:4] == ["fast", "default", "high", "paper"]
 
 
 def test_the_welcome_says_what_is_there(backend, enter):

@@ -21,7 +21,6 @@ def test_each_is_listed_once_and_described_in_a_line():
     assert all(preset.description and not preset.description.endswith(".") for preset in listed)
 
 
-def test_the_panels_list_only_grows_at_its_end():
-    """A .blend keeps the place in the list: these were there first."""
-    first = ["default", "fast", "paper", "baseline", "default-scaffold", "gausshdr-short", "hdr-gs-short"]
-    assert [preset.name for preset in presets.IN_PANEL][: len(first)] == first
+def test_the_usual_ones_come_first_by_the_effort_that_they_are():
+    usual = [PRESETS[preset.name].iterations for preset in presets.USUAL]
+    assert usual == sorted(usual) and presets.IN_PANEL[: len(usual)] == presets.USUAL

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel *Train PhysHDR*: how things are, how far, what is wrong, the next step."""
+"""The top of the sidebar: how things are, what is next, how far, what is wrong; the first screen."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import bpy
 
@@ -13,6 +13,7 @@ from ..runtime import session
 from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import State
 from ..session.tasks import duration, stage_of_training
+from .backend import draw_first, draw_foreign
 from .parts import BOX, SidebarPanel, draw_made, draw_problem, draw_task, shortened, write
 
 if TYPE_CHECKING:
@@ -33,8 +34,12 @@ ICONS: "dict[str, IconItems]" = {
 }
 
 
-class PHYSHDR_PT_train(SidebarPanel, bpy.types.Panel):
-    bl_label = "Train PhysHDR"
+class PHYSHDR_PT_status(SidebarPanel, bpy.types.Panel):
+    """Always there and always open: it has no header to fold it by."""
+
+    bl_label = "PhysHDR"
+    bl_options: ClassVar[set[str]] = {"HIDE_HEADER"}
+    bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, chosen = session().state, layout_of(self), choices(context)
@@ -53,6 +58,9 @@ class PHYSHDR_PT_train(SidebarPanel, bpy.types.Panel):
             outside.draw(box, chosen.not_looked_at, lambda path: shortened(path, context))
         if problem:
             draw_problem(context, layout, problem)
+        if not state.backend.ready:
+            draw_first(context, layout, state)
+        draw_foreign(context, layout, state)
 
 
 def draw_progress(
@@ -105,4 +113,4 @@ def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state:
     write(context, column, text, lines=1)
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_train,))
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_status,))

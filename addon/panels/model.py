@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exposure and the lights' levels, one set of sliders: those of the selected model or of one whose instance
-is selected, or of the one that the live preview shows, else the preview's own."""
+"""A model: exposure and the lights' levels, looking through its cameras, and how else it looks.
+
+One set of sliders: those of the selected model or of one whose instance is selected, of the one that the live
+preview shows, or of the scene's only one; else the preview's own.
+"""
 
 from collections.abc import Sequence
 
@@ -9,10 +12,12 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ..blender import cloud_of, layout_of
 from ..capture import originals
+from ..light import lighting
 from ..model.attributes import CAMERAS, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY
-from ..model.look import draw_look, slider_name
+from ..model.look import draw_look, draw_sliders, slider_name
 from ..model.preview_look import followed
 from ..operators.base import choices
+from ..operators.lighting import model_in
 from ..operators.native import draw_native
 from ..rendering.render_setup import has_model, models_of
 from ..runtime import session
@@ -21,33 +26,31 @@ from ..session.state import State
 from ..settings import PHYSHDR_Settings
 from ..viewport import overlay
 from ..viewport.camera import ORTHOGRAPHIC_HINT
-from .parts import Subpanel, button, write
+from .parts import ModelSubpanel, SidebarPanel, button, write
 
 
-class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
-    bl_label = "Illumination"
+class PHYSHDR_PT_model(SidebarPanel, bpy.types.Panel):
+    bl_label = "Model"
+    bl_order = 2
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return session().state.backend.ready or has_model(context.scene)
+        """Where there is one: in the scene, in the backend, or what it left behind."""
+        scene = context.scene
+        if has_model(scene) or session().state.job.has_model or scene.physhdr.preview:
+            return True
+        return lighting.is_lit(scene.world) or originals.are_hidden(scene)
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, layout_of(self), context.scene.physhdr
         shown = followed(context.scene, context.view_layer, state.job)
-        selected = models_of(context.object)
-        target = selected[0] if selected else shown if settings.preview else None
+        target = target_of(context, state)
         reason = why_not(state, "preview", choices(context))
         if target is not None:
             layout.label(text=target.name, icon="OUTLINER_OB_POINTCLOUD")
-            draw_look(layout, target)
-            column = layout.column()
-            column.use_property_split = True
-            column.prop(target, "physhdr_viewport", text="3D View")
+            draw_sliders(layout, target)
             draw_cameras(layout, target)
-            if text := confidence_note(target):
-                write(context, layout, text, "INFO")
-            draw_native(layout, target)
-        else:
+        elif settings.preview or state.job.has_model:
             draw_own(layout, state, settings)
         for text in hints(context, state, settings, target, shown, reason):
             write(context, layout, text, "INFO")
@@ -65,6 +68,34 @@ def draw_originals(context: bpy.types.Context, layout: bpy.types.UILayout) -> No
         write(context, layout, "It is where the objects are that it was photographed from", "INFO")
     text, icon = ("Show Originals", "HIDE_ON") if hidden else ("Hide Originals", "HIDE_OFF")
     layout.operator("physhdr.originals_hide", text=text, icon=icon, depress=hidden)
+
+
+class PHYSHDR_PT_look(ModelSubpanel, bpy.types.Panel):
+    bl_label = "Look"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return target_of(context, session().state) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, target = layout_of(self), target_of(context, session().state)
+        assert target is not None
+        draw_look(layout, target)
+        column = layout.column()
+        column.use_property_split = True
+        column.prop(target, DISPLAY, text="3D View")
+        if text := confidence_note(target):
+            write(context, layout, text, "INFO")
+        draw_native(layout, target)
+
+
+def target_of(context: bpy.types.Context, state: State) -> bpy.types.Object | None:
+    """The model whose sliders are shown; ``None`` where they are the live preview's own."""
+    if selected := models_of(context.object):
+        return selected[0]
+    if context.scene.physhdr.preview:
+        return followed(context.scene, context.view_layer, state.job)
+    return model_in(context)
 
 
 def draw_cameras(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
@@ -142,4 +173,4 @@ def view_hint(context: bpy.types.Context) -> str:
     return overlay.hint(view, context.scene)
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_illumination,))
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_model, PHYSHDR_PT_look))
