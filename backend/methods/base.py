@@ -85,7 +85,7 @@ class MethodConfig(ABC):
 
 
 @dataclass(frozen=True)
-class Facts:
+class MethodSetup:
     """What a method must know of the data and the machine.
 
     ``anchor``: a known point of the response, (exposure × radiance, code value), or None. ``implementation``:
@@ -215,15 +215,15 @@ class Method(nn.Module, ABC):
     #: Adam's. 3DGS's: gradients of Gaussians are tiny, and Adam's default would damp them.
     adam_epsilon: float = 1e-15
 
-    def __init__(self, config: MethodConfig, backbone: Backbone, facts: Facts) -> None:
+    def __init__(self, config: MethodConfig, backbone: Backbone, setup: MethodSetup) -> None:
         super().__init__()
-        self.lights = check_lights(facts.lights, "the method")
+        self.lights = check_lights(setup.lights, "the method")
         self.attributes = config.attributes(self.lights)
         self.backbone = backbone
         #: The backbone's share of what a checkpoint holds.
         self.backbone_networks = backbone.networks
-        self.implementation: Implementation = facts.implementation
-        self.log_radiance_range = facts.log_radiance_range
+        self.implementation: Implementation = setup.implementation
+        self.log_radiance_range = setup.log_radiance_range
         #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
         self.active_sh_degree = self.attributes.sh_degree
 
@@ -307,7 +307,7 @@ class Method(nn.Module, ABC):
 
     @property
     def curves(self) -> ToneMapper:
-        """The response of a method that always learns it (``Facts.refuse_known``)."""
+        """The response of a method that always learns it (``MethodSetup.refuse_known``)."""
         assert isinstance(self.tone_mapper, ToneMapper)
         return self.tone_mapper
 

@@ -28,9 +28,9 @@ from .base import (
     Batch,
     Drawn,
     Exposed,
-    Facts,
     Method,
     MethodConfig,
+    MethodSetup,
     Outcome,
     Recording,
     Traits,
@@ -112,25 +112,25 @@ class Developed:
 class PhysHDRMethod(Method, Generic[D]):
     """A backbone, g, φ and a response; subclasses say what is drawn (``D``) and how it is developed.
 
-    ``facts.lights``: names of the lights that have levels; ``BadValueError`` where the settings know one.
+    ``setup.lights``: names of the lights that have levels; ``BadValueError`` where the settings know one.
     """
 
-    def __init__(self, config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> None:
-        super().__init__(config, backbone, facts)
+    def __init__(self, config: PhysHDRConfig, backbone: Backbone, setup: MethodSetup) -> None:
+        super().__init__(config, backbone, setup)
         self.config = config
         self.composer, self.modulator = self.new_networks()
-        self.tone_mapper = self.new_response(facts)
+        self.tone_mapper = self.new_response(setup)
 
     def new_networks(self) -> tuple[nn.Module, nn.Module]:
         """The composer g and the modulator φ."""
         return ProductComposer(self.log_radiance_range), AdditiveModulator()
 
-    def new_response(self, facts: Facts) -> Response:
+    def new_response(self, setup: MethodSetup) -> Response:
         """The response that is learned, or the known one where no picture's has to be."""
         if self.config.tone_mapper.local:
-            facts.refuse_known("PhysHDR with local curves")
-        known = facts.responses == "known"
-        return KnownResponse() if known else ToneMapper(self.config.tone_mapper, facts.anchor)
+            setup.refuse_known("PhysHDR with local curves")
+        known = setup.responses == "known"
+        return KnownResponse() if known else ToneMapper(self.config.tone_mapper, setup.anchor)
 
     @property
     def can_relight(self) -> bool:

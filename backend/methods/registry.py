@@ -13,7 +13,7 @@ from .physhdr_common import PhysHDRConfig
 class Registered(NamedTuple):
     """A method: its settings, and what makes it of them.
 
-    ``make`` is called with the settings, a backbone without primitives, and the ``Facts``.
+    ``make`` is called with the settings, a backbone without primitives, and the ``MethodSetup``.
     """
 
     config: type[MethodConfig]

@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ..methods.base import Facts, Method, MethodConfig
+from ..methods.base import Method, MethodConfig, MethodSetup
 from ..methods.registry import METHODS
 from ..model.backbone import Attributes, Backbone, BackboneConfig
 from ..model.gaussians import Gaussians
@@ -35,7 +35,7 @@ BACKBONES: Table[RegisteredBackbone] = Table(
 )
 
 
-def new_method(config: MethodConfig, backbone: BackboneConfig, facts: Facts) -> Method:
+def new_method(config: MethodConfig, backbone: BackboneConfig, setup: MethodSetup) -> Method:
     """An untrained method without primitives; raises ``BadValueError`` where it cannot be with these data."""
-    empty = BACKBONES[backbone.name].make(backbone, config.attributes(facts.lights))
-    return METHODS[config.name].make(config, empty, facts)
+    empty = BACKBONES[backbone.name].make(backbone, config.attributes(setup.lights))
+    return METHODS[config.name].make(config, empty, setup)

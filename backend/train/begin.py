@@ -10,7 +10,7 @@ import torch
 
 from ...bridge.errors import DataMismatchError
 from ...bridge.run_folder import CHECKPOINT_FILE
-from ..methods.base import Facts
+from ..methods.base import MethodSetup
 from ..rasterize import Implementation
 from ..scene.scene import Scene
 from ..start.initialise import scene_extent
@@ -105,9 +105,9 @@ def _empty(
     kinds = tuple(kind for kind in PARTS if kind.is_wanted(plan))
     device, seen = torch.device(device), plan.seen
     data = Data(plan, device)
-    facts = Facts(seen.scene.response_anchor, implementation, seen.lights, seen.responses, seen.range)
+    setup = MethodSetup(seen.scene.response_anchor, implementation, seen.lights, seen.responses, seen.range)
     torch.manual_seed(plan.config.seed)  # initial values of the networks
-    method = new_method(plan.config.method, plan.backbone, facts)
+    method = new_method(plan.config.method, plan.backbone, setup)
     return State(plan, data, method, device, configuration), kinds
 
 

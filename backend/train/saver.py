@@ -10,7 +10,7 @@ import torch
 
 from ...bridge.errors import OutputError
 from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
-from ..methods.base import Facts, Method
+from ..methods.base import Method, MethodSetup
 from ..rasterize import Implementation
 from .backbones import new_method
 from .checkpoint import (
@@ -186,10 +186,10 @@ def load_method(
     require_configuration(metadata, configuration or fingerprint(config), path)
     iteration = progress_of(metadata, config.iterations, path).iteration
     lights = lights_of(metadata, path)
-    facts = Facts(
+    setup = MethodSetup(
         anchor, implementation, lights, responses_in(metadata, path), log_radiance_range_in(metadata, path)
     )
-    method = new_method(config.method, config.backbone, facts)
+    method = new_method(config.method, config.backbone, setup)
     restore_method(method, tensors, path)
     method.to_device(torch.device(device))
     every = in_iterations(config).sh_degree_every

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Published methods, the paper's own among them, by the names that stand in files."""
 
-from ...backend.methods.base import Facts
+from ...backend.methods.base import MethodSetup
 from ...backend.methods.registry import Registered
 from ...backend.model.backbone import Backbone
 from .gausshdr import GaussHDR, GaussHDRConfig
@@ -10,8 +10,8 @@ from .hdr_nerf import HDRNeRF, HDRNeRFConfig
 from .paper import PaperConfig, new_paper
 
 
-def _hdr_nerf(config: HDRNeRFConfig, _: Backbone, facts: Facts) -> HDRNeRF:
-    return HDRNeRF(config, facts)
+def _hdr_nerf(config: HDRNeRFConfig, _: Backbone, setup: MethodSetup) -> HDRNeRF:
+    return HDRNeRF(config, setup)
 
 
 METHODS = {

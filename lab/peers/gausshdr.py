@@ -23,7 +23,7 @@ from ...backend.kernels.local_curves import local_curves
 from ...backend.kernels.plain import can_fuse
 from ...backend.kernels.pointwise import log_of_exposure
 from ...backend.kernels.ssim import SsimTarget, ssim_and_error, ssim_map
-from ...backend.methods.base import Batch, Drawn, Facts, MethodConfig, Outcome, Traits, UnlitMethod
+from ...backend.methods.base import Batch, Drawn, MethodConfig, MethodSetup, Outcome, Traits, UnlitMethod
 from ...backend.methods.losses import compared
 from ...backend.model.backbone import Attributes, Backbone, Splats
 from ...backend.model.radiance import SmallNetwork
@@ -161,11 +161,11 @@ class DrawnPicture(Drawn):
 class GaussHDR(UnlitMethod):
     """The method: a backbone, a tone mapper and the network of its uncertainty."""
 
-    def __init__(self, config: GaussHDRConfig, backbone: Backbone, facts: Facts) -> None:
-        super().__init__(config, backbone, facts)
+    def __init__(self, config: GaussHDRConfig, backbone: Backbone, setup: MethodSetup) -> None:
+        super().__init__(config, backbone, setup)
         self.config = config
-        facts.refuse_known("GaussHDR")
-        self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
+        setup.refuse_known("GaussHDR")
+        self.tone_mapper = ToneMapper(config.tone_mapper, setup.anchor)
         self.uncertainty = Uncertainty(config.tone_mapper, config.least_uncertainty)
         self.uses_local = True
 

@@ -26,8 +26,8 @@ from ...backend.kernels.ssim import ssim_and_error
 from ...backend.methods.base import (
     Batch,
     Drawn,
-    Facts,
     MethodConfig,
+    MethodSetup,
     Outcome,
     Traits,
     UnlitMethod,
@@ -108,11 +108,11 @@ class HDRGSConfig(MethodConfig):
 class HDRGS(UnlitMethod):
     """The method: a backbone and a global tone mapper."""
 
-    def __init__(self, config: HDRGSConfig, backbone: Backbone, facts: Facts) -> None:
-        super().__init__(config, backbone, facts)
+    def __init__(self, config: HDRGSConfig, backbone: Backbone, setup: MethodSetup) -> None:
+        super().__init__(config, backbone, setup)
         self.config = config
-        facts.refuse_known("HDR-GS")
-        self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
+        setup.refuse_known("HDR-GS")
+        self.tone_mapper = ToneMapper(config.tone_mapper, setup.anchor)
 
     @property
     def remarks(self) -> tuple[str, ...]:

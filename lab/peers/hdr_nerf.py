@@ -19,7 +19,7 @@ import torch
 
 from ...backend.bounds import FromZero, Size
 from ...backend.kernels.ahead import Needs
-from ...backend.methods.base import Batch, Facts, MethodConfig, Outcome, Pool, Traits
+from ...backend.methods.base import Batch, MethodConfig, MethodSetup, Outcome, Pool, Traits
 from ...backend.model.rates import Rate, require_rates
 from ...backend.model.tone_mapper import ToneMapper, ToneMapperConfig
 from ...backend.scene.camera import Camera
@@ -144,17 +144,17 @@ class HDRNeRF(WithoutSplats):
 
     adam_epsilon = 1e-8
 
-    def __init__(self, config: HDRNeRFConfig, facts: Facts) -> None:
-        super().__init__(config, facts)
+    def __init__(self, config: HDRNeRFConfig, setup: MethodSetup) -> None:
+        super().__init__(config, setup)
         self.config = config
-        facts.refuse_known("HDR-NeRF")
+        setup.refuse_known("HDR-NeRF")
         self.coarse, self.fine = Field(config.field), Field(config.field)
-        unit = facts.anchor or (1.0, UNIT_VALUE)
+        unit = setup.anchor or (1.0, UNIT_VALUE)
         self.coarse_curves = ToneMapper(config.tone_mapper, unit)
         self.fine_curves = ToneMapper(config.tone_mapper, unit)
         self.density_noise = config.density_noise
         if self.density_noise is None:
-            self.density_noise = PHOTOGRAPH_NOISE if facts.anchor is None else 0.0
+            self.density_noise = PHOTOGRAPH_NOISE if setup.anchor is None else 0.0
         self.space = RaySpace()
         self._film: tuple[Pool, Film] | None = None
         self._kept = _Kept()

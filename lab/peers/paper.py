@@ -19,7 +19,7 @@ from ...backend.bounds import Size
 from ...backend.kernels.activations import illumination_deviation
 from ...backend.kernels.ahead import Needs
 from ...backend.kernels.ssim import SsimTarget
-from ...backend.methods.base import Drawn, Exposed, Facts, Method, Traits, exposed_by, is_standard
+from ...backend.methods.base import Drawn, Exposed, Method, MethodSetup, Traits, exposed_by, is_standard
 from ...backend.methods.losses import compared, reconstruction_loss
 from ...backend.methods.physhdr import DrawnRadiance, PhysHDR
 from ...backend.methods.physhdr_common import D, Developed, PhysHDRConfig, PhysHDRMethod
@@ -141,9 +141,9 @@ class LearnedMethod(PhysHDRMethod[D]):
         sizes = self.config.composer_hidden, self.config.illumination_channels
         return LearnedComposer(*sizes, self.log_radiance_range), LearnedModulator(*sizes)
 
-    def new_response(self, facts: Facts) -> Response:
-        facts.refuse_known("The paper's method")
-        return FusingToneMapper(self.config.tone_mapper, facts.anchor)
+    def new_response(self, setup: MethodSetup) -> Response:
+        setup.refuse_known("The paper's method")
+        return FusingToneMapper(self.config.tone_mapper, setup.anchor)
 
     @property
     def curves(self) -> FusingToneMapper:
@@ -301,6 +301,6 @@ class PaperPhysHDR(LearnedMethod[DrawnBranches]):
         return self.ldr_at(camera, exposure, levels), self._fused(nothing, nothing, context).ldr
 
 
-def new_paper(config: PaperConfig, backbone: Backbone, facts: Facts) -> Method:
+def new_paper(config: PaperConfig, backbone: Backbone, setup: MethodSetup) -> Method:
     """The method with the branches that ``config`` has."""
-    return (PaperPhysHDR if config.illumination_branch else PaperImageExposure)(config, backbone, facts)
+    return (PaperPhysHDR if config.illumination_branch else PaperImageExposure)(config, backbone, setup)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from ...backend.methods.base import Facts, Method, MethodConfig
+from ...backend.methods.base import Method, MethodConfig, MethodSetup
 from ...backend.model.backbone import Backbone, Splats, Start
 from ...backend.rasterize import Rasterization
 from ...backend.scene.camera import Camera
@@ -55,8 +55,8 @@ class NoSplats(Backbone):
 class WithoutSplats(Method):
     """A method that makes its pictures in another way, in ``hdr_at`` and ``ldr_at``."""
 
-    def __init__(self, config: MethodConfig, facts: Facts) -> None:
-        super().__init__(config, NoSplats(config.name), facts)
+    def __init__(self, config: MethodConfig, setup: MethodSetup) -> None:
+        super().__init__(config, NoSplats(config.name), setup)
         self._name = config.name
 
     @property

@@ -124,7 +124,7 @@ import sys
 from pathlib import Path
 import numpy as np, torch
 from physhdr.backend.export.blender_model import to_model
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.gaussians import initial_gaussians
@@ -143,7 +143,7 @@ def export(out, config):
     )
     for tensor in gaussians.parameters.values():
         tensor.data += 0.1 * torch.randn_like(tensor)
-    method = METHODS[config.name].make(config, gaussians, Facts((1.0, 0.73)))
+    method = METHODS[config.name].make(config, gaussians, MethodSetup((1.0, 0.73)))
     for tensor in method.parameters():
         tensor.data += 0.05 * torch.randn_like(tensor)
     model = to_model(method, np.zeros(3), (1.0,), {"scene": "test", "method": "m", "iteration": "1"})

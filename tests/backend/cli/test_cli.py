@@ -20,7 +20,7 @@ from PIL import Image
 from plyfile import PlyData
 
 from physhdr.backend.cli import main
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.model_file import read_model
@@ -93,7 +93,7 @@ def test_the_lossless_ply_holds_the_whole_model(run, lossless):
     vertices = ply["vertex"]
     columns = {p.name: np.array(vertices[p.name]) for p in vertices.properties}
     gaussians = lossless.parameters_from_columns(columns)
-    method = type(opened.method)(opened.config.method, gaussians, Facts(opened.scene.response_anchor))
+    method = type(opened.method)(opened.config.method, gaussians, MethodSetup(opened.scene.response_anchor))
     method.load_state_dict(lossless.networks_from_comments(ply.comments))
     method.active_sh_degree = opened.method.active_sh_degree
     camera = opened.scene.test[0].camera

@@ -24,7 +24,7 @@ from physhdr.backend.export.confidence import (
     information_of,
     thinned,
 )
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.backbone import Splats
 from physhdr.backend.model.gaussians import SH_C0, initial_gaussians
@@ -83,7 +83,7 @@ def method():
     )
     gaussians.parameters["log_scales"] = torch.full((4, 3), math.log(3.0)).requires_grad_()
     assert torch.allclose(gaussians.reflectance_dc[:, 0, 0] * SH_C0, torch.tensor(RADIANCE).log())
-    return METHODS["physhdr"].make(config, gaussians, Facts(None, "auto", responses="known"))
+    return METHODS["physhdr"].make(config, gaussians, MethodSetup(None, "auto", responses="known"))
 
 
 def seen_at(method, camera, exposures=EXPOSURES, factor=1.0, mask=None, dtype=np.uint16, **facts):

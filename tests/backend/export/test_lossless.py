@@ -11,7 +11,7 @@ import torch
 
 from physhdr.backend.export.baked import network_comments, parameter_columns
 from physhdr.backend.export.blender_model import to_model
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.methods.physhdr_common import PhysHDRConfig, PhysHDRMethod
 from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.gaussians import initial_gaussians
@@ -42,7 +42,7 @@ def write(
     )
     for tensor in gaussians.parameters.values():
         tensor.data += 0.2 * torch.randn_like(tensor)
-    method = METHODS[config.name].make(config, gaussians, Facts((1.0, 0.73), lights=lights))
+    method = METHODS[config.name].make(config, gaussians, MethodSetup((1.0, 0.73), lights=lights))
     for parameter in method.parameters():
         parameter.data += 0.05 * torch.randn_like(parameter)
     model = to_model(method, np.zeros(3), (1.0, 1.0 / 3.0, 16.0), {"scene": "test"})

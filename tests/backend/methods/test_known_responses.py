@@ -10,7 +10,7 @@ import torch
 from physhdr.backend.evaluate.pictures import pairs
 from physhdr.backend.evaluate.response import learned_response
 from physhdr.backend.kernels.ssim import ssim_map_reference
-from physhdr.backend.methods.base import Batch, Exposed, Facts, Recording
+from physhdr.backend.methods.base import Batch, Exposed, MethodSetup, Recording
 from physhdr.backend.methods.losses import compared
 from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.gaussians import initial_gaussians
@@ -54,7 +54,7 @@ def make(preset="default", responses="known", double=False, **loss):
     )
     torch.manual_seed(2)
     anchor = None if responses == "known" else (1.0, 0.73)
-    method = METHODS["physhdr"].make(config, gaussians, Facts(anchor, "reference", responses=responses))
+    method = METHODS["physhdr"].make(config, gaussians, MethodSetup(anchor, "reference", responses=responses))
     if double:
         method.double()
         gaussians.parameters = {
@@ -146,7 +146,7 @@ def test_methods_that_learn_every_response_say_so(preset):
     config = PRESETS[preset]
     for responses in ("known", "mixed"):
         with pytest.raises(BadValueError, match="known one") as error:
-            new_method(config.method, config.backbone, Facts(responses=responses))
+            new_method(config.method, config.backbone, MethodSetup(responses=responses))
         assert "default" in error.value.hint
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.methods.physhdr_common import PhysHDRConfig, PhysHDRMethod
 from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.gaussians import initial_gaussians
@@ -44,7 +44,7 @@ def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient"
         lights=len(lights),
     )
     torch.manual_seed(2)
-    method = METHODS[config.name].make(config, gaussians, Facts(ANCHOR, "reference", lights))
+    method = METHODS[config.name].make(config, gaussians, MethodSetup(ANCHOR, "reference", lights))
     if trained:
         generator = torch.Generator().manual_seed(4)
         with torch.no_grad():

@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from physhdr.backend.methods.base import Facts, MethodConfig
+from physhdr.backend.methods.base import MethodConfig, MethodSetup
 from physhdr.backend.methods.registry import METHODS
 from physhdr.backend.model.backbone import BackboneConfig
 from physhdr.backend.scene import read_scene
@@ -34,7 +34,7 @@ def test_a_name_leads_to_the_settings_and_back():
 def test_what_is_declared_is_so(preset, tiny_data):
     config = PRESETS[preset]
     traits = config.method.traits
-    method = new_method(config.method, config.backbone, Facts())
+    method = new_method(config.method, config.backbone, MethodSetup())
     if traits.splats:
         wanted = config.method.attributes(("ambient",))
         assert method.has_light_share == (wanted.lights > 0)

@@ -19,7 +19,7 @@ import pytest
 import torch
 
 from physhdr.backend.cli import main
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
@@ -310,7 +310,7 @@ def test_depth_is_that_of_a_single_gaussian():
         context_size=0,
         seed=0,
     )
-    method = PhysHDR(PhysHDRConfig(sh_degree=0), gaussians, Facts((1.0, 0.7)))
+    method = PhysHDR(PhysHDRConfig(sh_degree=0), gaussians, MethodSetup((1.0, 0.7)))
     frame = render(method, PreviewRequest(sequence=1, camera=camera()), 5)
     row, column = np.unravel_index(frame.rgba[..., 3].argmax(), frame.depth.shape)
     assert 0.05 < frame.rgba[row, column, 3] < 0.45

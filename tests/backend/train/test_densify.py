@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.methods.base import Drawn, Facts
+from physhdr.backend.methods.base import Drawn, MethodSetup
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.morton import morton_order
@@ -38,7 +38,7 @@ def make(count=8):
         context_size=0,
         seed=0,
     )
-    method = PhysHDR(config.method, gaussians, Facts((1.0, 0.73)))
+    method = PhysHDR(config.method, gaussians, MethodSetup((1.0, 0.73)))
     optimiser = Optimiser(method, config.optimiser, extent=1.0, iterations=100)
     for tensor in gaussians.parameters.values():  # one step, so that Adam has moments
         tensor.grad = torch.ones_like(tensor)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from physhdr.backend.evaluate.metrics import psnr
-from physhdr.backend.methods.base import Drawn, Facts
+from physhdr.backend.methods.base import Drawn, MethodSetup
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.model.backbone import Attributes, Start
 from physhdr.backend.model.morton import morton_order
@@ -42,7 +42,7 @@ def make(config: AnchorsConfig = CONFIG) -> tuple[Anchors, Optimiser]:
     with torch.no_grad():
         anchors.parameters["log_scaling"].zero_()
         anchors.parameters["features"] += torch.arange(16.0).reshape(4, 4)
-    method = PhysHDR(preset.method, anchors, Facts((1.0, 0.73)))
+    method = PhysHDR(preset.method, anchors, MethodSetup((1.0, 0.73)))
     optimiser = Optimiser(method, preset.optimiser, extent=1.0, iterations=100)
     for tensor in anchors.parameters.values():
         tensor.grad = torch.ones_like(tensor)

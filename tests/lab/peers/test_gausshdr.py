@@ -11,7 +11,7 @@ import torch
 
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels import ssim_map_reference
-from physhdr.backend.methods.base import Batch, Facts, Recording
+from physhdr.backend.methods.base import Batch, MethodSetup, Recording
 from physhdr.backend.model.backbone import Start
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
@@ -52,7 +52,7 @@ def make(anchor=ANCHOR, implementation="cpu", **changes) -> GaussHDR:
         seed=0,
     )
     torch.manual_seed(2)
-    method = GaussHDR(config, gaussians, Facts(anchor, implementation))
+    method = GaussHDR(config, gaussians, MethodSetup(anchor, implementation))
     generator = torch.Generator().manual_seed(4)
     with torch.no_grad():
         for name, tensor in [*method.named_parameters(), *gaussians.parameters.items()]:
@@ -245,7 +245,7 @@ def test_a_level_scales_as_an_exposure(camera):
 def test_from_where_no_anchor_is_seen_nothing_is_developed(camera):
     """All Gaussians of the backbone may be out of sight, in training too; each of their tensors is empty."""
     config = PRESETS["gausshdr-scaffold"]
-    method = new_method(config.method, config.backbone, Facts(ANCHOR, "cpu"))
+    method = new_method(config.method, config.backbone, MethodSetup(ANCHOR, "cpu"))
     behind = np.random.default_rng(5).uniform(-0.6, 0.6, (30, 3)) + [0.0, 0.0, 9.0]
     method.backbone.place(behind, np.zeros((30, 3)), Start())
     assert method.hdr(camera).max() == 0.0

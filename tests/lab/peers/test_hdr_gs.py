@@ -11,7 +11,7 @@ import torch
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.report import to_markdown
 from physhdr.backend.kernels import ssim_map_reference
-from physhdr.backend.methods.base import Batch, Facts, Recording
+from physhdr.backend.methods.base import Batch, MethodSetup, Recording
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
@@ -52,7 +52,7 @@ def make(implementation="cpu", **changes) -> HDRGS:
         seed=0,
     )
     torch.manual_seed(2)
-    method = HDRGS(config, gaussians, Facts(implementation=implementation))
+    method = HDRGS(config, gaussians, MethodSetup(implementation=implementation))
     generator = torch.Generator().manual_seed(4)
     with torch.no_grad():
         for name, tensor in [*method.named_parameters(), *gaussians.parameters.items()]:

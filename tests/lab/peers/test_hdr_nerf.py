@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from physhdr.backend.evaluate.metrics import psnr
-from physhdr.backend.methods.base import Batch, Facts
+from physhdr.backend.methods.base import Batch, MethodSetup
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.source import Decoded
@@ -87,7 +87,7 @@ def space_of(kind: str) -> tuple[RaySpace, list[Camera], np.ndarray]:
 def method_of(config: HDRNeRFConfig = TINY, anchor=ANCHOR, double: bool = False) -> HDRNeRF:
     """One whose fields are not black anywhere: random networks often are."""
     torch.manual_seed(1)
-    method = HDRNeRF(config, Facts(anchor))
+    method = HDRNeRF(config, MethodSetup(anchor))
     with torch.no_grad():
         for network in (method.coarse, method.fine):
             network.density.weight.mul_(4.0)
@@ -141,7 +141,7 @@ def test_the_field_is_nerf_layer_by_layer(config):
 def test_the_published_size():
     """NeRF's network has 595,844 parameters; both, and twice three curves 1 → 128 → 1."""
     assert sum(p.numel() for p in Field(FieldConfig()).parameters()) == 595_844
-    parameters = HDRNeRF(HDRNeRFConfig(), Facts()).parameters()
+    parameters = HDRNeRF(HDRNeRFConfig(), MethodSetup()).parameters()
     assert sum(each.numel() for each in parameters) == 2 * (595_844 + 3 * (3 * 128 + 1))
 
 
@@ -365,9 +365,9 @@ def test_sums_in_parts_hand_each_group_its_own_gradient():
 
 def test_without_a_known_response_the_unit_is_a_half_and_photographs_have_noise():
     torch.manual_seed(0)
-    photographs, rendered = HDRNeRF(TINY, Facts()), HDRNeRF(TINY, Facts(ANCHOR))
+    photographs, rendered = HDRNeRF(TINY, MethodSetup()), HDRNeRF(TINY, MethodSetup(ANCHOR))
     assert (photographs.density_noise, rendered.density_noise) == (1.0, 0.0)
-    assert HDRNeRF(dataclasses.replace(TINY, density_noise=0.0), Facts()).density_noise == 0.0
+    assert HDRNeRF(dataclasses.replace(TINY, density_noise=0.0), MethodSetup()).density_noise == 0.0
     curves = photographs.fine_curves
     with torch.no_grad():
         at_one = ((curves.w2 * curves.b1.relu()).sum(1) + curves.b2).sigmoid()
@@ -381,7 +381,7 @@ def test_without_a_known_response_the_unit_is_a_half_and_photographs_have_noise(
 
 def test_the_warm_start_reaches_its_target():
     torch.manual_seed(0)
-    method = HDRNeRF(HDRNeRFConfig(field=TINY.field), Facts(ANCHOR))  # 500 steps, 128 hidden
+    method = HDRNeRF(HDRNeRFConfig(field=TINY.field), MethodSetup(ANCHOR))  # 500 steps, 128 hidden
     x = torch.linspace(-3.0, 3.0, 101).expand(3, -1).contiguous()
     target = torch.nn.functional.softplus(x).clamp(0.0, 1.0)
     error = lambda curves: (curves.response(x) - target).abs().mean().item()  # noqa: E731
@@ -393,7 +393,7 @@ def test_the_warm_start_reaches_its_target():
 
 
 def test_rates_fall_as_published():
-    rate = HDRNeRF(TINY, Facts(ANCHOR)).rates()["fine"]
+    rate = HDRNeRF(TINY, MethodSetup(ANCHOR)).rates()["fine"]
     assert rate.at(0.0, 7.0) == pytest.approx(5e-4)  # no extent in it
     assert rate.at(1.0, 7.0) == pytest.approx(5e-4 * 0.1 ** (200 / 500), rel=1e-3)
     assert rate.at(0.5, 7.0) == pytest.approx(5e-4 * 0.1 ** (100 / 500), rel=1e-3)

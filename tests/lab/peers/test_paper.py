@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
@@ -43,7 +43,7 @@ def make(config: PaperConfig = PAPER, trained: bool = True) -> PaperPhysHDR:
     start = {"opacity": 0.6, "ambient_share": None, "seed": 0}
     gaussians = initial_gaussians(positions, radiance, sh_degree=3, context_size=4, **start)
     torch.manual_seed(2)
-    method = new_paper(config, gaussians, Facts(ANCHOR, "reference"))
+    method = new_paper(config, gaussians, MethodSetup(ANCHOR, "reference"))
     if trained:
         generator = torch.Generator().manual_seed(4)
         with torch.no_grad():

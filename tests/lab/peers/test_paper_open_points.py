@@ -10,7 +10,7 @@ import torch
 from scipy.ndimage import gaussian_filter1d
 
 from physhdr.backend.cli import main
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import MethodSetup
 from physhdr.backend.model.backbone import BackboneConfig, Start
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.runs.run import open_run
@@ -45,7 +45,7 @@ def make(backbone: BackboneConfig = GAUSSIANS, trained: bool = True, **changes) 
     """The paper's method in float64 on 30 Gaussians; ``trained``: nothing is where it started."""
     torch.manual_seed(2)
     config = dataclasses.replace(PAPER, **changes)
-    method = new_method(config, backbone, Facts((1.0, 0.73), "reference"))
+    method = new_method(config, backbone, MethodSetup((1.0, 0.73), "reference"))
     rng = np.random.default_rng(5)
     start = Start(opacity=0.6)
     method.backbone.place(rng.uniform(-0.6, 0.6, (30, 3)), rng.uniform(-1.5, 0.5, (30, 3)), start)
