@@ -19,14 +19,11 @@ setup: ## Set up both environments (.venvs/), or say what to install
 demo: setup ## Scene → data → training → relit picture: runs/demo/result.png
 	@$(BACKEND) tools/demo.py
 
-test: setup ## Lint as on Linux, and the tests of both sides of the house, but for what takes long
+test: setup ## Lint of what is shipped, and the tests of both sides of the house, but for what takes long
 	@$(PYTHON) tools/run_tests.py
 
 test-long: setup ## What takes long: several trainings, lint as on Windows and macOS, the installed wheel, short fuzz and torture
 	@$(PYTHON) tools/run_tests.py --long
-	@$(BACKEND) tools/try_wheel.py
-	@$(BACKEND) tests/stress/fuzz.py --short
-	@$(BACKEND) tests/stress/torture.py --short
 
 fuzz: setup ## Bad inputs for every reader, for messages and a running server; WITH="--seed 5" and other options
 	@$(BACKEND) tests/stress/fuzz.py $(WITH)

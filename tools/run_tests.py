@@ -3,7 +3,8 @@
 """Run every room's tests with the interpreter that it needs, and print how long each took.
 
     python tools/run_tests.py           what `make test` runs: all but the tests that are marked `long`
-    python tools/run_tests.py --long    those tests (several trainings, statistics, Ray), and the rest of lint
+    python tools/run_tests.py --long    what `make test-long` runs: those tests, the rest of lint, the
+                                        installed wheel, short fuzz and torture
 
 Other arguments are passed on to pytest. Two lanes run side by side, in each one suite after the other. What a
 suite says is printed when it is done, but for the first lane's, which comes as it is said.
@@ -32,24 +33,32 @@ BESIDE = ("-n", "2", "--dist", "loadfile", "--max-worker-restart", "0")
 #: cores busy: threads of torch would wait for one another, a fifth of the time.
 ENVIRONMENTS = {"backend": {"OMP_NUM_THREADS": "1"}}
 
-#: Name of a suite → its command. Both lanes take about as long.
+#: Name of a suite → its command. Both lanes take about as long. Kernels are compiled first: two processes
+#: that need them at once would both compile them.
 LANES: tuple[dict[str, tuple], ...] = (
     {
+        "kernels": (BACKEND / "physhdr", "check"),
         "lint": (BACKEND / "python", "tools/lint.py", "--quick"),
         "backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend", "tests/lab"),
     },
     {
-        "blender": (*IN_BLENDER, "-m", "not long", "tests/bridge", "tests/synth", "tests/addon"),
+        "blender": (*IN_BLENDER, "-m", "not long", "tests/synth", "tests/addon"),
         "loop": (*PYTEST, "-m", "not long", "tests/loop", "tests/test_docs.py"),
     },
 )
 LONG: tuple[dict[str, tuple], ...] = (
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--others"),
+        "bridge in blender": (*IN_BLENDER, "tests/bridge"),
         "long blender": (*IN_BLENDER, "-m", "long", "tests/synth", "tests/addon"),
         "long": (*PYTEST, "-m", "long", "tests/backend", "tests/lab"),
     },
-    {"long loop": (*PYTEST, "-m", "long", "tests/loop")},
+    {
+        "long loop": (*PYTEST, "-m", "long", "tests/loop"),
+        "wheel": (BACKEND / "python", "tools/try_wheel.py"),
+        "fuzz": (BACKEND / "python", "tests/stress/fuzz.py", "--short"),
+        "torture": (BACKEND / "python", "tests/stress/torture.py", "--short"),
+    },
 )
 
 
@@ -71,7 +80,9 @@ class Lane(threading.Thread):
             environment = ENVIRONMENTS.get(name, {}) | os.environ
             # Else each of the processes that tests start would compile every module again.
             environment.pop("PYTHONDONTWRITEBYTECODE", None)
-            words = [str(part) for part in command] + self.arguments * (name != "lint")
+            words = [str(part) for part in command] + self.arguments * (
+                "pytest" in command or BLENDER in command
+            )
             if self.loud:
                 say(f"\n== {name} ==")
                 status = subprocess.call(words, cwd=ROOT, env=environment)

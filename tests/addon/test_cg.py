@@ -250,7 +250,8 @@ def write_lamp_probe(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("level", [0.25, 1.0])
+@pytest.mark.long
+@pytest.mark.parametrize("level", [0.25, pytest.param(1.0, marks=pytest.mark.long)])
 def test_shadow_of_a_small_bright_lamp_in_a_probe(extension, capture, draw, look_at, tmp_path, level):
     """*Light From Here* and the ground together: the ratio that the panorama's own pixels add up to."""
     target = next(each for each in capture.objects if each.type == "POINTCLOUD")

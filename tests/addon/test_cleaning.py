@@ -272,6 +272,7 @@ def test_nobody_is_out_of_view_of_a_model_that_is_stretched(add):
     assert agreed(target, with_camera=True).all()
 
 
+@pytest.mark.long
 def test_what_is_out_of_view_is_not_missed(add, scene, tmp_path):
     """The picture is the same with and without what the camera does not see, also through its low-pass."""
     _, target, modifier, _ = add(count=500)

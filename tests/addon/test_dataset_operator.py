@@ -85,6 +85,7 @@ def test_a_data_set_of_a_file_that_was_never_saved(room, tmp_path):
     assert bpy.ops.physhdr.dataset_check(folder=str(out)) == {"FINISHED"}
 
 
+@pytest.mark.long
 def test_changes_that_are_not_saved_count(room, tmp_path):
     """The file on disk has the lamp at 30, memory at 3000: the pictures are bright."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
@@ -102,6 +103,7 @@ def test_changes_that_are_not_saved_count(room, tmp_path):
     assert read(tmp_path / "saved/dataset.json")["scene"] == "mine"
 
 
+@pytest.mark.long
 def test_textures_beside_the_file_are_found(room, tmp_path):
     """A relative path stays right although the copy lies elsewhere."""
     image = bpy.data.images.new("paint", 4, 4, float_buffer=False)
@@ -241,6 +243,7 @@ def test_a_cache_that_is_not_baked_is_not_simulated_into_the_files_of_the_user(f
     }
 
 
+@pytest.mark.long
 def test_of_caches_on_disk_nothing_is_told_to_be_missing(flag, tmp_path):
     small = SMALL | {"views": 2, "lit_views": 0, "relit_views": 0}
     assert bpy.ops.physhdr.dataset_render(out="//data", **small) == {"FINISHED"}
@@ -262,8 +265,8 @@ def test_of_caches_on_disk_nothing_is_told_to_be_missing(flag, tmp_path):
         ({"lights": "sky"}, "there is no light 'sky' in this scene"),
         ({"lights": "key=collection:Nowhere"}, "unknown collection of this file 'Nowhere'"),
         ({"lights": ";"}, "no light varies"),
-        ({"rig": "PATH"}, "stands still over the frames"),
-        ({"out": "/proc/nowhere"}, "cannot write to the output folder"),
+        pytest.param({"rig": "PATH"}, "stands still over the frames", marks=pytest.mark.long),
+        pytest.param({"out": "/proc/nowhere"}, "cannot write to the output folder", marks=pytest.mark.long),
     ],
 )
 def test_mistakes_are_reported(room, tmp_path, change, told):
@@ -385,6 +388,7 @@ class TestFolder:
         dataset_folder.propose(settings)
         assert settings.out == "//typed"
 
+    @pytest.mark.long
     def test_a_script_that_names_none_gets_one(self, room, tmp_path):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
         assert bpy.ops.physhdr.dataset_render(**SMALL) == {"FINISHED"}
@@ -397,6 +401,7 @@ def fill(settings, values):
         setattr(settings, name, value)
 
 
+@pytest.mark.long
 def test_what_was_typed_is_kept_in_the_scene_and_arguments_win(room, tmp_path):
     """Also after an error, and in the file; a script's arguments are not."""
     settings = dataset_settings.settings_of(room)
@@ -415,6 +420,7 @@ def test_what_was_typed_is_kept_in_the_scene_and_arguments_win(room, tmp_path):
     assert settings.exposures == "3 1" and settings.rig == "ORBIT" and settings.views == 4
 
 
+@pytest.mark.long
 def test_without_a_denoiser_nothing_starts(room, extension, tmp_path, monkeypatch):
     """As in Debian's Blender: a script is told the remedy; the dialog has it off, and says why."""
     for module in (denoiser, dataset_settings):
@@ -447,6 +453,7 @@ def add_lanterns(scene):
     return item
 
 
+@pytest.mark.long
 def test_lights_are_ticked_or_named(room, tmp_path):
     """The lit views turn both, and truth is made of each alone: by ticks, and by a script's names."""
     add_lanterns(room)
@@ -489,6 +496,7 @@ def test_names_of_lights_as_scripts_write_them(room):
             dataset_settings.parse_lights(text, known)
 
 
+@pytest.mark.long
 def test_models_are_left_out_and_originals_photographed_though_hidden(room, tmp_path):
     """A second data set, with the originals hidden and their model in the scene, is the first one's."""
     first, second = tmp_path / "first", tmp_path / "second"
@@ -509,6 +517,7 @@ def test_models_are_left_out_and_originals_photographed_though_hidden(room, tmp_
     assert dataset._left_out(room) == ["Left out of what is photographed, trained models: splats"]
 
 
+@pytest.mark.long
 def test_the_time_is_told_as_the_last_data_set_went(room, extension, tmp_path):
     """Twice the samples and half as many pictures more: from the rate that was measured, by hand."""
     chosen = dataset_settings.chosen(room)
@@ -542,6 +551,7 @@ def test_about_how_long():
     assert {seconds: dataset_dialog.about(seconds) for seconds in told} == told
 
 
+@pytest.mark.long
 def test_the_time_is_tried(room, extension, tmp_path):
     """Two pictures with a quarter of the samples: the estimate is of the order of what it then takes."""
     values = {**SMALL, "resolution_x": 96, "samples": 64, "views": 3, "lit_views": 0}
@@ -593,6 +603,7 @@ def scripted(room, tmp_path):
     bpy.app.driver_namespace.pop("brightness", None)
 
 
+@pytest.mark.long
 def test_the_files_python_runs_there_if_it_may_run_here(scripted, tmp_path):
     """What the drivers steer is in the pictures as it is in the window from which they were asked for."""
     light = {}
@@ -664,6 +675,7 @@ def remembered(scene):
     return {each.target.name for each in entry.objects}
 
 
+@pytest.mark.long
 def test_a_rendering_that_is_refused_leaves_what_the_data_set_shows(room, tmp_path):
     """A robot that came into the scene since is no original of the data set that is there."""
     small = {**SMALL, "out": str(tmp_path / "data"), "views": 2, "lit_views": 0, "relit_views": 0}
@@ -697,6 +709,7 @@ def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp
     assert remembered(room) == {"floor", "moon", "camera"}
 
 
+@pytest.mark.long
 def test_what_failed_or_was_cancelled_is_not_chosen_though_the_folder_holds_an_older_one(
     room, extension, tmp_path, monkeypatch
 ):

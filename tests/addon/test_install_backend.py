@@ -255,6 +255,7 @@ def test_what_a_new_version_needs_is_added_and_torch_is_not_downloaded_again(pla
     assert place.install()[0] == 0 and environments(place) == [extended]
 
 
+@pytest.mark.long
 def test_packages_go_into_the_environment_where_pips_settings_say_for_the_user(place):
     settings = place.root / "pip.conf"
     settings.write_text("[install]\nuser = true\n")
@@ -264,6 +265,7 @@ def test_packages_go_into_the_environment_where_pips_settings_say_for_the_user(p
     assert list(made.rglob("first.py")) and list(made.rglob("torch.py"))
 
 
+@pytest.mark.long
 def test_an_extension_that_fails_leaves_the_former_environment_as_it_was(place):
     former = place.installed()
     before = {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in former.rglob("*.py")}
@@ -339,7 +341,7 @@ def test_an_environment_of_another_build_or_python_is_not_taken_over(place):
     assert place.indexes["pytorch"].asked == {"torch"} and environments(place) != [former]
 
 
-@pytest.mark.parametrize("name", ["second", "torch"])
+@pytest.mark.parametrize("name", ["second", pytest.param("torch", marks=pytest.mark.long)])
 def test_a_file_with_another_hash_stops_the_installation_and_nothing_stays(place, name):
     wheel(place.root / ("pytorch" if name == "torch" else "mine"), name, "1.0", "EVIL = True")
     status, said, log = place.install(PIP_EXTRA_INDEX_URL="")
@@ -373,12 +375,14 @@ def test_the_users_own_torch_for_cuda_12_gets_the_libraries_of_that(place):
     assert "nvidia-thing-cu12" in versions and "nvidia-thing" not in versions
 
 
+@pytest.mark.long
 def test_a_torch_that_asks_for_what_was_never_locked_is_named(place):
     place.lock("torch-cuda.txt")
     status, said, _ = place.install("pip", PIP_EXTRA_INDEX_URL="")
     assert status == 1 and "nvidia-thing" in said[-1]["error"]["message"] and environments(place) == []
 
 
+@pytest.mark.long
 def test_an_index_that_cannot_be_reached_is_said_to_be_so(place):
     status, said, _ = place.install(
         PIP_INDEX_URL="http://127.0.0.1:1/simple", PIP_EXTRA_INDEX_URL="", PIP_RETRIES="1"
@@ -554,6 +558,7 @@ def test_a_new_driver_makes_another_environment(place):
     assert len(environments(place)) == 1 and environments(place) != [former]
 
 
+@pytest.mark.long
 def test_a_card_that_can_run_no_build_gets_the_processors_and_the_reason(place):
     card = place.driver_says(*OLDEST_DRIVER, "7.5")
     status, said, log = place.install("cuda", PIP_EXTRA_INDEX_URL="", **card)

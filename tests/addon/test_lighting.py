@@ -829,6 +829,7 @@ print("numbers", *read_exr(Path(folder) / "fixed.exr")[0, 0, :3])
 """
 
 
+@pytest.mark.long
 def test_where_colours_have_other_names(make_model, write, tmp_path):
     (tmp_path / "config.ocio").write_text(STUDIO)
     folder = write_probe(tmp_path / "probe", (0.5, 2.0, 30.0), (1.0,) * 3, (1.0,) * 3)

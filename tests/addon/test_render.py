@@ -410,6 +410,7 @@ def test_script_ends_with_one_clear_message(
     assert "Traceback" not in done.stderr + done.stdout
 
 
+@pytest.mark.long
 def test_script_works_from_a_folder_of_any_name_without_installation(
     make_model, write, camera_file, tmp_path
 ):

@@ -589,6 +589,7 @@ def srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
+@pytest.mark.long
 def test_both_engines_agree_after_set_up_beside_a_sun(make_model, write, look_at, tmp_path):
     """60 overlapping Gaussians over six stops, one sample: what is left are EEVEE's 16 bit."""
     pose = repr(look_at(2.0, -3.0, 1.5).tolist())

@@ -47,8 +47,8 @@ def poses(folder, split):
     "rig",
     [
         {"rig": "GRID", "rig_width": 1.5, "rig_height": 0.5},
-        {"rig": "ORBIT", "rig_arc": 2.0, "rig_distance": 3.0},
-        {"rig": "HEMISPHERE"},
+        pytest.param({"rig": "ORBIT", "rig_arc": 2.0, "rig_distance": 3.0}, marks=pytest.mark.long),
+        pytest.param({"rig": "HEMISPHERE"}, marks=pytest.mark.long),
         {"rig": "PATH"},
     ],
 )

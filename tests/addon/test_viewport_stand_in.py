@@ -98,6 +98,7 @@ def test_elsewhere_the_points_are_drawn(target, tmp_path):
     assert state(again) == HERE
 
 
+@pytest.mark.long
 def test_what_was_saved_before_is_repaired_by_saving_it(target, tmp_path):
     """An older file has no radius, no material and only bounds."""
     target.data.materials.clear()

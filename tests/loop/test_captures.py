@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Photos of a capture as other programs read them: Pillow, LibRaw and COLMAP. Nothing is rendered here."""
 
+import contextlib
+import io
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from physhdr.lab.tools import take_photos
 from physhdr.synth import passes
 from physhdr.synth.capture import Capture, Place, opened
 from physhdr.synth.lens import OPENCV, Lens
 from physhdr.synth.passes import Passes
 
-TOOLS = Path(__file__).resolve().parents[2] / "lab" / "tools"
 WIDTH, HEIGHT, PATCH = 80, 60, 20
 LENS = Lens(
     model=OPENCV,
@@ -69,11 +71,16 @@ def capture(tmp_path_factory) -> Capture:
     return opened(root)
 
 
+def run(tool, *words) -> tuple[int, str]:
+    """The tool's exit status, and what it writes to the standard error output."""
+    command = mock.patch.object(sys, "argv", [tool.__name__, *map(str, words)])
+    with command, contextlib.redirect_stderr(io.StringIO()) as said:
+        return tool.main(), said.getvalue()
+
+
 def take(capture: Capture, out: Path, *options: str) -> list[dict]:
     """Runs the tool; the truth about the photos."""
-    script = [sys.executable, str(TOOLS / "take_photos.py"), str(capture.root), "--out", str(out)]
-    done = subprocess.run([*script, *options], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    assert run(take_photos, capture.root, "--out", out, *options) == (0, "")
     return json.loads((out / "truth" / "photos.json").read_text())["photos"]
 
 
@@ -229,15 +236,8 @@ def test_the_same_command_goes_on_and_another_is_refused(capture, tmp_path):
     files[3].unlink()
     assert take(capture, tmp_path / "out", "--auto-exposure") == told
     assert [path.read_bytes() for path in files] == before
-    script = [
-        sys.executable,
-        str(TOOLS / "take_photos.py"),
-        str(capture.root),
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    done = subprocess.run([*script, "--bracket=-2,0,2"], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 1 and "has photos with other options" in done.stderr
+    status, said = run(take_photos, capture.root, "--out", tmp_path / "out", "--bracket=-2,0,2")
+    assert status == 1 and "has photos with other options" in said
 
 
 def test_photos_of_other_places_are_not_mixed_with_those_that_are_there(capture, tmp_path):
@@ -249,9 +249,8 @@ def test_photos_of_other_places_are_not_mixed_with_those_that_are_there(capture,
     rendered.rename(tmp_path / "later")
     take(late, tmp_path / "out", "--auto-exposure", "--partial")
     (tmp_path / "later").rename(rendered)
-    script = [sys.executable, str(TOOLS / "take_photos.py"), str(copied), "--out", str(tmp_path / "out")]
-    done = subprocess.run([*script, "--auto-exposure"], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 1 and "or of other places: choose another folder" in done.stderr
+    status, said = run(take_photos, copied, "--out", tmp_path / "out", "--auto-exposure")
+    assert status == 1 and "or of other places: choose another folder" in said
 
 
 def test_truth_is_bent_back_as_the_pictures_were(capture, tmp_path):
@@ -274,16 +273,11 @@ def test_truth_is_bent_back_as_the_pictures_were(capture, tmp_path):
     lens = "OPENCV 66, 66, 40, 30, -0.12, 0.03, 0.001, -0.0008"
     sources = {"test_004_0.png": told[4]["file"]}
     (data / "prepare.json").write_text(json.dumps({"lens": [lens], "sources": sources}))
-    script = [
-        sys.executable,
-        str(TOOLS / "capture_truth.py"),
-        str(data),
-        str(capture.root),
-        str(tmp_path / "out"),
-        *("--relit", "lamp=0", "--called", "lamp=pendant"),
-    ]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    from physhdr.lab.tools import capture_truth  # needs pycolmap
+
+    relit = ("--relit", "lamp=0", "--called", "lamp=pendant")
+    status, said = run(capture_truth, data, capture.root, tmp_path / "out", *relit)
+    assert status == 0, said
 
     import OpenEXR
 

@@ -115,7 +115,7 @@ def two_lights(in_blender, tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module", params=["loop", "two lights"])
+@pytest.fixture(scope="module", params=[pytest.param("loop", marks=pytest.mark.long), "two lights"])
 def them(request) -> DataSet:
     return DataSet(request.getfixturevalue("data" if request.param == "loop" else "two_lights"))
 

@@ -6,12 +6,14 @@ import math
 import sys
 
 import numpy as np
+import pytest
 
 from physhdr.backend.scene.pictures import read_exr
 from physhdr.bridge.model_file import Model, write_model
 from physhdr.bridge.panorama import solid_angles
 
 
+@pytest.mark.long
 def test_the_backend_and_blender_draw_the_same_light(in_blender, tmp_path):
     rng = np.random.default_rng(4)
     count, lights = 250, ("ambient", "lamp")

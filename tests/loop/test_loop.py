@@ -12,6 +12,9 @@ from physhdr.backend.evaluate.metrics import hdr_pair, psnr
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.pictures import read_exr
 
+#: It renders a data set and trains on it.
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def run(data):

@@ -116,6 +116,7 @@ def newer_version(zipped: Path, folder: Path) -> str:
     return newer
 
 
+@pytest.mark.long
 def test_blender_installs_from_it_is_offered_a_newer_version_and_updates(
     served, built, zipped, in_blender, tmp_path
 ):

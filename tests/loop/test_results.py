@@ -33,6 +33,7 @@ def run(tiny_scene, tmp_path_factory) -> Path:
     return folder / "run"
 
 
+@pytest.mark.long
 def test_a_run_is_evaluated_filmed_and_baked_from_blender(run, in_blender, viewer, tmp_path):
     in_blender("tests/loop/use_results.py", sys.executable, run, tmp_path)
     seen = json.loads((tmp_path / "seen.json").read_text())

@@ -32,7 +32,7 @@ def files(out: Path) -> dict[str, str]:
 @pytest.mark.parametrize(
     "where",
     [
-        pytest.param(["--jobs", "2"], id="here"),
+        pytest.param(["--jobs", "2"], id="here", marks=pytest.mark.long),
         pytest.param(["--ray", "local", "--parts", "2"], id="ray", marks=pytest.mark.long),
     ],
 )

@@ -92,6 +92,7 @@ def test_a_broken_dataset_json_is_named(tmp_path, capsys):
     assert (tmp_path / "dataset.json").read_text() == "{"
 
 
+@pytest.mark.long
 def test_a_full_disk_in_the_middle(tmp_path):
     """No file may grow beyond 20 kB, which the passes do: a clear error, and no half file under its name."""
     out = tmp_path / "d"
@@ -125,6 +126,7 @@ def test_only_a_full_disk_asks_for_room(tmp_path, monkeypatch, capsys, code, rem
     assert capsys.readouterr().err == f"error: {os.strerror(code)}: 'bark.png'{remedy}\n"
 
 
+@pytest.mark.long
 def test_the_script_in_a_process_of_its_own():
     """The exit code and the streams as a shell sees them, with Blender's '--' before our arguments."""
     command = [sys.executable, str(ROOT / "synth/make_scene.py"), "--", "--out", "/proc/nowhere"]

@@ -276,6 +276,7 @@ def test_several_scenes_by_one_command(tmp_path, capsys, monkeypatch, small):
         assert (told["scene"], told["evs"]) == (name, evs) and told["exposures"] == [2.0**ev for ev in evs]
 
 
+@pytest.mark.long
 def test_two_processes_share_a_folder(tmp_path, small):
     """Both end well, and what comes out is what one alone makes; nothing is left behind."""
     script = tmp_path / "make.py"

@@ -161,6 +161,7 @@ def test_an_attribute_of_a_negative_size_is_no_way_back(tmp_path, never_waits):
         exr.read(tmp_path / "a.exr")
 
 
+@pytest.mark.long
 def test_a_block_that_unpacks_to_more_than_its_lines_takes_no_memory(tmp_path):
     whole = exr.encode_rgb(np.zeros((4, 4, 3), np.float32))
     (block,) = struct.unpack_from("<Q", whole, _table(whole))

@@ -64,6 +64,7 @@ def installed(tmp_path_factory) -> Path:
     return extension
 
 
+@pytest.mark.long
 def test_no_built_in_scene_is_installed_and_one_that_is_asked_for_is_refused(installed, tmp_path):
     assert (installed / "synth" / "stage.py").is_file() and not (installed / "synth" / "scenes").exists()
     command = [sys.executable, installed / "synth" / "make_scene.py", "--", "--out", tmp_path / "data"]
@@ -74,6 +75,7 @@ def test_no_built_in_scene_is_installed_and_one_that_is_asked_for_is_refused(ins
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.long
 def test_the_open_scene_is_rendered_from_the_installed_zip(installed, tmp_path):
     out = tmp_path / "data"
     environment = {

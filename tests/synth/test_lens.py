@@ -105,7 +105,9 @@ def render(stage, lens, pose, samples, path):
         return camera.render(pose, 1, path)
 
 
-@pytest.mark.parametrize("text", ["opencv:0,0,0,0", PHONE, WIDE])
+@pytest.mark.parametrize(
+    "text", [PHONE, *(pytest.param(text, marks=pytest.mark.long) for text in ("opencv:0,0,0,0", WIDE))]
+)
 def test_cycles_sees_at_each_pixel_what_the_formula_puts_there(text, compass, tmp_path):
     """Each pixel's colour tells its direction; the formula of OpenCV says where that should be seen."""
     lens = parse_lens(text, SIZE, ANGLE)

@@ -70,6 +70,7 @@ def test_lights_add_up_to_the_picture_that_blender_renders(tmp_path, readers, na
     assert not list(tmp_path.glob("passes*"))
 
 
+@pytest.mark.long
 def test_denoised_lights_add_up_within_the_noise(tmp_path):
     """Each light is denoised apart: their sum is as near to the truth as the noise allows."""
     with (
@@ -95,10 +96,7 @@ def turn(stage, levels):
 
 def test_derived_light_is_that_of_a_relit_render(tmp_path):
     """The knobs turned and rendered directly, against the passes of one render weighted by numpy."""
-    levels = (
-        {"ambient": 0.25, "pendant": 3.0, "standing": 1.0},
-        {"ambient": 4.0, "pendant": 1.0, "standing": 0.0},
-    )
+    levels = {"ambient": 0.25, "pendant": 3.0, "standing": 0.0}
     with (
         scene_of("interior") as stage,
         settings.applied(stage.scene, settings.ground_truth(SIZE, 64)),
@@ -107,16 +105,13 @@ def test_derived_light_is_that_of_a_relit_render(tmp_path):
         pose = pose_of(stage)
         passes = camera.render(pose, 5, tmp_path / "a.exr")
         again = camera.render(pose, 6, tmp_path / "a.exr")
-        direct = []
-        for wanted in levels:
-            turn(stage, wanted)
-            direct.append(camera.render(pose, 7, tmp_path / "a.exr").radiance({}))
-    for wanted, found in zip(levels, direct, strict=True):
-        derived, other = passes.radiance(wanted), again.radiance(wanted)
-        floor = difference(derived, other)  # two renders of one thing
-        assert difference(derived, found) > floor - 1.0
-        assert derived.mean() == pytest.approx(found.mean(), rel=0.03)
-        assert difference(passes.radiance({}), found) < floor - 4.0  # the levels matter
+        turn(stage, levels)
+        found = camera.render(pose, 7, tmp_path / "a.exr").radiance({})
+    derived, other = passes.radiance(levels), again.radiance(levels)
+    floor = difference(derived, other)  # two renders of one thing
+    assert difference(derived, found) > floor - 1.0
+    assert derived.mean() == pytest.approx(found.mean(), rel=0.03)
+    assert difference(passes.radiance({}), found) < floor - 4.0  # the levels matter
 
 
 def test_brackets_are_what_blender_saves_at_that_exposure(tmp_path, readers):
@@ -214,6 +209,7 @@ def test_object_numbers_are_put_back():
         assert [item.pass_index for item in items] == [7, *[0] * (len(items) - 1)]
 
 
+@pytest.mark.long
 def test_adaptive_sampling_spends_fewer_samples_where_there_is_no_noise(tmp_path):
     with built("ball") as stage, objects.numbered(stage, Report()):
         taken = {}

@@ -52,6 +52,7 @@ def test_what_the_bracket_loses():
     assert found.white == 1 / 100 and found.black == (100 - 1 - 2 - 4) / 100
 
 
+@pytest.mark.long
 def test_the_last_step_holds_one_view(tmp_path, small):
     """The training views' pixels as doubles would be 24 bytes each, and what follows from them more."""
     options = replace(small, views=60, lit_views=0, relit_views=0, samples=1, resolution=(64, 48))

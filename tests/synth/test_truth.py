@@ -38,6 +38,7 @@ def readers_png(path):
     return read_png(path)[..., :3]
 
 
+@pytest.mark.long
 def test_two_pictures_of_half_of_the_lights_are_the_picture_of_all(tmp_path):
     """By linearity; here 4,096 samples against 4,096 of all lights at once, which share no noise."""
     with (
@@ -262,6 +263,7 @@ def test_half_floats_are_read_by_blender(tmp_path, readers):
     np.testing.assert_array_equal(exr.read(tmp_path / "a.exr"), half)
 
 
+@pytest.mark.long
 def test_another_camera_needs_no_new_renders(tmp_path, clean, monkeypatch):
     """The pictures are those of a data set that was rendered anew, and a render was asked for only once."""
     dataset.make(tmp_path / "a", clean)

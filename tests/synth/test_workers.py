@@ -32,6 +32,7 @@ def digests(out: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.long
 def test_workers_make_the_same_files(tmp_path):
     room = user_scene.saved(tmp_path / "room.blend")
     for name, count in (("one", "1"), ("two", "2")):

@@ -31,7 +31,9 @@ MAIN = "import sys; from physhdr.backend.cli import main; sys.exit(main())"
 SHORT = ["--iterations", "30", "--set", "sh_degree_every=5"]
 
 
-@pytest.fixture(scope="module", params=["default", "fast", "paper", "baseline"])
+@pytest.fixture(
+    scope="module", params=["default", "paper", "baseline", pytest.param("fast", marks=pytest.mark.long)]
+)
 def run(request, tiny_data, tmp_path_factory):
     """A short run of each preset, trained by the command."""
     folder = tmp_path_factory.mktemp("runs") / request.param
@@ -297,7 +299,14 @@ def test_the_version_is_said(capsys):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has another error for it")
-@pytest.mark.parametrize("words", [["train", "--help"], ["inspect", "{data}"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--version"],
+        pytest.param(["train", "--help"], marks=pytest.mark.long),
+        pytest.param(["inspect", "{data}"], marks=pytest.mark.long),
+    ],
+)
 def test_a_reader_that_has_enough_is_no_error(words, tiny_data):
     """physhdr train --help | head"""
     command = [sys.executable, "-c", MAIN]
@@ -316,6 +325,7 @@ def test_a_reader_that_has_enough_is_no_error(words, tiny_data):
     assert (done.stderr, done.returncode) == ("", 141)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells close streams so")
 def test_without_standard_streams_a_training_is_done(tiny_data, tmp_path):
     train = ["train", str(tiny_data), "--out", str(tmp_path / "run"), "--iterations", "2"]
@@ -327,6 +337,7 @@ def test_without_standard_streams_a_training_is_done(tiny_data, tmp_path):
     assert (tmp_path / "run" / "checkpoint.safetensors").exists()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX shells close streams so")
 @pytest.mark.parametrize(
     ("words", "status"), [("--version", 0), ("inspect nowhere", 1), ("inspect --nonsense", 2)]

@@ -145,7 +145,10 @@ def test_a_model_is_developed_as_its_response_says(model: Path, suffix: str, ton
     )
 
 
-@pytest.mark.parametrize("suffix, options", [(".usdc", []), (".usda", []), (".glb", ["--blend-linear"])])
+@pytest.mark.parametrize(
+    "suffix, options",
+    [(".usdc", []), pytest.param(".usda", [], marks=pytest.mark.long), (".glb", ["--blend-linear"])],
+)
 def test_usd_has_the_radiance_itself(model: Path, suffix: str, options) -> None:
     if suffix.startswith(".usd"):
         pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")
@@ -428,6 +431,7 @@ for name in sys.argv[1:]:
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="addresses are limited as on Linux")
 def test_no_bad_file_is_read_or_takes_two_gigabytes(tmp_path: Path) -> None:
     """Cut off, of another kind, empty, 2⁶² rows, a million rows of NaN, a bomb: one clear error each."""

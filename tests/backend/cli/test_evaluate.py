@@ -79,6 +79,7 @@ def test_the_evaluation_says_what_the_training_was(opened, tmp_path: Path) -> No
     assert conditions["training_exposures"] == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.long
 def test_against_a_run_at_another_resolution_nothing_is_ranked(
     opened, tiny_data: Path, tmp_path: Path
 ) -> None:
@@ -106,6 +107,7 @@ class Photographing(Grey):
         return [self.hdr(camera) * effect for effect in effects]
 
 
+@pytest.mark.long
 def test_the_sheets_compare_as_the_table_does(opened, tiny_data, tmp_path: Path, monkeypatch) -> None:
     every = [(view, k) for view in read_scene(tiny_data).test for k in range(len(view.exposures))]
     halves = [view.values(k)[:, : view.camera.width // 2].mean() for view, k in every]
@@ -123,6 +125,7 @@ def test_the_sheets_compare_as_the_table_does(opened, tiny_data, tmp_path: Path,
     assert both["falloffs"]["a"](None).item() == pytest.approx(share) and both["falloffs"]["b"] is None
 
 
+@pytest.mark.long
 def test_against_a_run_it_is_not_found_again_what_its_file_says(opened, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(
         command, "falloff_there", lambda renderer, views, falloff: searched.append(views) or True
@@ -153,6 +156,7 @@ def trained(tiny_data: Path, tmp_path_factory) -> Path:
     return run
 
 
+@pytest.mark.long
 def test_a_runs_own_pictures_are_measured_as_the_run_is(trained, tiny_data, tmp_path, capsys) -> None:
     theirs, out = trained.parent / "theirs", tmp_path / "out"
     words = ["--pictures", str(theirs), "--data", str(tiny_data), "--exposure-mode", "exp3"]

@@ -87,7 +87,7 @@ def test_a_program_is_told_what_happens(run, tmp_path, capsys):
         ("paper", ()),
         ("hdr-gs", ("ambient",)),
         ("default-scaffold", ("ambient",)),
-        ("hdr-nerf-small", ()),
+        pytest.param("hdr-nerf-small", (), marks=pytest.mark.long),
     ],
 )
 def test_methods_tell_what_they_know_of_their_light(preset, lights, tiny_data, tmp_path):

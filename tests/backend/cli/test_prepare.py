@@ -189,6 +189,7 @@ def test_a_reconstruction_that_exists_is_used(prepared, capture, room, tmp_path,
     assert_poses(half, capture, room)
 
 
+@pytest.mark.long
 def test_poses_that_cannot_be_placed_are_named_and_left_out(room, capture, tmp_path, capsys):
     """Five of the room, three of something else, one exposure each."""
     random, folder = np.random.default_rng(5), tmp_path / "mixed"
@@ -436,6 +437,7 @@ def test_heic_and_jpeg_of_a_phone_are_one_capture(room, heic, capture, tmp_path,
                 assert abs(np.asarray(picture).mean() - before.mean()) < 6.0  # but for the crop
 
 
+@pytest.mark.long
 def test_automatic_exposure_both_ways_up_and_masks(room, tmp_path, capsys):
     """No brackets, a third of the photos turned by a quarter: each way up has its own lens and size."""
     capture, folder, rays = room.Capture(), tmp_path / "photos", room.rays_of_lens()
@@ -468,6 +470,7 @@ def test_automatic_exposure_both_ways_up_and_masks(room, tmp_path, capsys):
     assert hidden[:80, :120].all() and not hidden[130:].any() and not hidden[:, 180:].any()
 
 
+@pytest.mark.long
 def test_hand_held_brackets_and_black_photos_that_borrow(room, tmp_path, capsys):
     """Six places, two exposures of each from a hand that moves by centimetres; two dark ones are black."""
     capture, folder, random = room.Capture(), tmp_path / "photos", np.random.default_rng(1)
@@ -658,7 +661,7 @@ def started(photos, out):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_cancelled_it_leaves_nothing(photos, tmp_path, number):
     process, child = started(photos, tmp_path / "out")
     if number == signal.SIGINT:
@@ -671,6 +674,7 @@ def test_cancelled_it_leaves_nothing(photos, tmp_path, number):
     assert not child.is_running() and not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_killed_it_leaves_no_data_set_and_no_process_and_the_next_one_tidies(photos, tmp_path):
     process, child = started(photos, tmp_path / "out")

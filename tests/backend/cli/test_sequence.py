@@ -127,6 +127,7 @@ def test_sequences_of_like_names_leave_each_other_alone(run: Path, scene: Scene,
     assert len(list(tmp_path.glob("a*.exr"))) == 2 * len(names)
 
 
+@pytest.mark.long
 def test_several_processes_draw_the_same(run: Path, scene: Scene, tmp_path: Path) -> None:
     words = ["--camera", shots_of(scene, tmp_path / "shots.json", 4, levels=True), "--layers"]
     assert render(run, tmp_path / "one" / "a_#.exr", *words) == 0
@@ -136,6 +137,7 @@ def test_several_processes_draw_the_same(run: Path, scene: Scene, tmp_path: Path
     assert len(list((tmp_path / "two").iterdir())) == 5, "frames and what they are"
 
 
+@pytest.mark.long
 def test_workers_start_where_the_package_is_not_installed(run: Path, scene: Scene, tmp_path: Path) -> None:
     """As in the environment that Blender makes: it has what the package needs, and launch.py finds that."""
     other = getattr(sys, "_base_executable", sys.executable)  # reads no .pth files of this environment's
@@ -155,6 +157,7 @@ def test_workers_start_where_the_package_is_not_installed(run: Path, scene: Scen
     assert len(list(tmp_path.glob("a_[01].exr"))) == 2
 
 
+@pytest.mark.long
 def test_a_worker_that_fails_is_heard(scene: Scene, tmp_path: Path) -> None:
     opened = Opened(tmp_path / "no run", None, "auto", "cpu", "")
     frames = [Frame(tmp_path / "0.exr", scene.train[0].camera, 1.0, (1.0, 1.0))]

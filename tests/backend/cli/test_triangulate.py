@@ -156,6 +156,7 @@ def test_training_starts_from_them(with_points):
     assert response == "as brackets tell it"
 
 
+@pytest.mark.long
 def test_cameras_may_differ_from_picture_to_picture(room, tmp_path):
     """nerfstudio's layout, one exposure a view, every second one by a longer lens."""
     pytest.importorskip("pycolmap", reason="points are triangulated by pycolmap")
@@ -172,6 +173,7 @@ def test_cameras_may_differ_from_picture_to_picture(room, tmp_path):
     assert len(away) > 300 and np.median(away) < 0.01 and np.mean(away < 0.05) > 0.9
 
 
+@pytest.mark.long
 def test_all_exposures_of_photographs_are_seen(made, tmp_path):
     pytest.importorskip("pycolmap", reason="points are triangulated by pycolmap")
     out, data = tmp_path / "points.ply", tmp_path / "data"
@@ -181,6 +183,7 @@ def test_all_exposures_of_photographs_are_seen(made, tmp_path):
     assert f"from {3 * VIEWS} pictures" in open_ply(out, "point cloud", "").comments[0]
 
 
+@pytest.mark.long
 def test_nothing_is_looked_for_where_pictures_are_masked(room, tmp_path):
     """The lower half of each is: a point that only lies there in all but one view cannot be found."""
     pytest.importorskip("pycolmap", reason="points are triangulated by pycolmap")
@@ -212,6 +215,7 @@ def test_nothing_is_looked_for_where_pictures_are_masked(room, tmp_path):
 # ---- what can go wrong -----------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_points_that_are_there_are_replaced_if_they_are_ours_and_one_says_so(with_points, tmp_path):
     assert "points3d_sfm.ply already exists" in refused(with_points)
     other = tmp_path / "scan.ply"

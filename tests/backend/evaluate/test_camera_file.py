@@ -229,6 +229,7 @@ def test_a_usd_camera_sees_points_where_its_own_frustum_does(tmp_path: Path, up,
             np.testing.assert_allclose(found, expected, atol=2e-4)  # USD's apertures are of 32 bits
 
 
+@pytest.mark.long
 def test_which_of_a_stages_cameras(tmp_path: Path) -> None:
     stage, _ = stage_with_a_camera(tmp_path / "a.usda", "Z", 1.0)
     from pxr import UsdGeom
@@ -258,6 +259,7 @@ def test_a_video_takes_one_of_a_stages_cameras(data_set: Path, tmp_path: Path) -
     assert len({camera.camera_to_world.tobytes() for camera in still}) == 1
 
 
+@pytest.mark.long
 def test_stages_that_have_no_path(tmp_path: Path) -> None:
     stage, camera = stage_with_a_camera(tmp_path / "a.usda", "Z", 1.0)
     camera.CreateProjectionAttr("orthographic")

@@ -130,7 +130,7 @@ def along_rays(drawn: panorama.LitSplats, rays: np.ndarray) -> tuple[np.ndarray,
 
 
 def test_gaussians_are_where_rays_find_them(monkeypatch):
-    drawn = splats(400)
+    drawn = splats(200)
     seen: list[np.ndarray] = []
 
     def unfilled(parts: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -139,7 +139,7 @@ def test_gaussians_are_where_rays_find_them(monkeypatch):
 
     monkeypatch.setattr(panorama, "filled", unfilled)
     found = panorama.surroundings(lambda camera: drawn.drawn(camera, "cpu"), (0.0, 0.0, 0.0), 512)
-    row, column = np.random.default_rng(1).integers(0, [[256], [512]], (2, 1500))
+    row, column = np.random.default_rng(1).integers(0, [[256], [512]], (2, 600))
     rays = [directions(512, c, r)[row, column] for r in (0.25, 0.75) for c in (0.25, 0.75)]
     every = [along_rays(drawn, ray) for ray in rays]
     true, alpha = np.mean([each[0] for each in every], axis=0), np.mean([each[1] for each in every], axis=0)

@@ -69,6 +69,7 @@ def psnr(one, other):
     return -10.0 * np.log10(np.mean(np.square(one - other)))
 
 
+@pytest.mark.long
 def test_against_dense_least_squares(monkeypatch):
     """With colours that stay above the floor it is linear: the normal equations say where it ends."""
     made = model(count=12, degree=1)

@@ -138,6 +138,7 @@ def test_instances_are_read_where_each_of_them_stands(cloud, tmp_path: Path) -> 
         np.testing.assert_allclose(read.position[rows], cloud.position + [10.0 * index, 0, 0], atol=1e-5)
 
 
+@pytest.mark.long
 def test_instances_within_instances_are_no_bomb(cloud, tmp_path: Path) -> None:
     """Thirty files of two instances each name 2³⁰ fields, and 13 as many Gaussians as nobody draws."""
     write_usd(tmp_path / "0.usda", cloud)
@@ -158,6 +159,7 @@ def test_instances_within_instances_are_no_bomb(cloud, tmp_path: Path) -> None:
 # -- bad files -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_files_that_are_cut_off_are_refused(cloud, tmp_path: Path) -> None:
     for name in ("a.usdc", "a.usda", "a.usdz"):
         write_usd(tmp_path / name, cloud)
@@ -198,6 +200,7 @@ def test_a_file_that_openusd_does_not_write_is_none(cloud, tmp_path: Path, monke
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_a_stage_without_gaussians_and_an_unknown_colour_space_are_named(cloud, tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
     UsdGeom.Cube.Define(stage, "/cube")

@@ -41,6 +41,7 @@ print(json.dumps(more))
 """
 
 
+@pytest.mark.long
 def test_first_steps_compile_nothing(tiny_data):
     presets = ["default", "paper-short", "gausshdr-short", "hdr-gs-short", "hdr-nerf-small"]
     command = [sys.executable, "-c", FIRST_STEPS, str(tiny_data), *presets]

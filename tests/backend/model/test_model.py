@@ -237,7 +237,7 @@ def test_a_measured_response_is_what_training_begins_with():
 
 def test_a_measured_response_has_the_slope_that_it_is_drawn_with():
     mapper = randomised(measured()[0]).double()
-    x = torch.linspace(-13.0, 9.0, 300, dtype=torch.float64).expand(3, -1).contiguous() + 1e-4
+    x = torch.linspace(-13.0, 9.0, 40, dtype=torch.float64).expand(3, -1).contiguous() + 1e-4
     assert torch.autograd.gradcheck(mapper.curve_logits, x.clone().requires_grad_())
     values, step = mapper.get_buffer(tone_mapper.MEASURED), 1e-6
     _, slopes = tone_mapper._measured_logits(x, values)

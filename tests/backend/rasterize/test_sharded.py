@@ -104,6 +104,7 @@ def process(rank, folder):
     torch.distributed.destroy_process_group()
 
 
+@pytest.mark.long
 def test_two_processes_draw_what_one_does(tmp_path):
     pytest.importorskip("warp", reason="warp-lang is not installed")
     if not torch.distributed.is_available() or not torch.distributed.is_gloo_available():

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from physhdr.backend.runs import begin as beginning
 from physhdr.backend.runs.begin import Workshop, resume_run, start_run
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.serve.engine import CancelledError
@@ -38,6 +39,12 @@ def workshop(told):
 def large_pictures(monkeypatch):
     """As if the presets were made for pictures a hundredth as large as these."""
     monkeypatch.setattr(size, "REFERENCE_PIXELS", 10)
+
+
+@pytest.fixture(autouse=True)
+def untimed(monkeypatch):
+    """How long such a training takes is found by steps with as many Gaussians as it ends with."""
+    monkeypatch.setattr(beginning, "time_training", lambda *_, **__: None)
 
 
 def begin(data, out, workshop, config=PRESET, typed=()):
@@ -144,6 +151,7 @@ def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):
 
 def test_how_long_it_will_take_is_told(tiny_data, tmp_path, workshop, told, monkeypatch):
     monkeypatch.setattr(duration, "SHARE", math.inf)
+    monkeypatch.setattr(beginning, "time_training", duration.time_training)
     config = dataclasses.replace(PRESET, iterations=30, random_points=100)
     typed = ("iterations", "random_points")
     with begin(tiny_data, tmp_path / "run", workshop, config, typed):

@@ -86,6 +86,7 @@ def physhdr(*words, **options):
     )
 
 
+@pytest.mark.long
 def test_nothing_old_survives_a_kill_after_the_new_configuration(run, tiny_data, capsys):
     """As attacked: replaced, killed right after "training from", resumed."""
     replaced = physhdr(
@@ -171,6 +172,7 @@ def test_weights_without_a_configuration_are_not_replaced(tiny_data, tmp_path, c
     assert (tmp_path / CHECKPOINT).read_bytes() == b"of another program"
 
 
+@pytest.mark.long
 def test_two_trainings_in_one_folder(tiny_data, tmp_path, capsys):
     """The second is refused whatever it wants, the first one is not disturbed."""
     run = tmp_path / "run"

@@ -118,7 +118,7 @@ def ends_in_a_scene_or_an_error(root: Path, files: Iterator[bytes], path: Path, 
 def test_damaged_bytes(layouts, fuzzing, tmp_path: Path, writer, arguments, file) -> None:
     root = getattr(layouts, writer)(tmp_path / "data", **arguments)
     path = root / file
-    ends_in_a_scene_or_an_error(root, fuzzing.mutations(path.read_bytes(), 25, 1), path, read_scene)
+    ends_in_a_scene_or_an_error(root, fuzzing.mutations(path.read_bytes(), 15, 1), path, read_scene)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -135,7 +135,7 @@ def test_other_values_in_json_of_ours(data_set: Path, fuzzing: ModuleType, file:
             "frames": {"train/r_0": {"file": "passes/a.exr", "sha256": "ab", "samples": 8}},
             "splits": {"train": 3},
         }
-    cases = (fuzzing.json_bytes(value) for value in fuzzing.json_mutations(whole, 30, 1))
+    cases = (fuzzing.json_bytes(value) for value in fuzzing.json_mutations(whole, 15, 1))
     ends_in_a_scene_or_an_error(data_set, cases, path, read_scene, inspect, relit_truth)
     ends_in_a_scene_or_an_error(data_set, iter(fuzzing.JSON_TEXTS), path, read_scene)
 

@@ -193,6 +193,7 @@ np.save(sys.argv[2], np.stack([view.image(k) for view, k in read_scene(Path(sys.
 """
 
 
+@pytest.mark.long
 def test_two_processes_at_once(bent: Path, tmp_path: Path) -> None:
     outs = [tmp_path / f"{k}.npy" for k in range(2)]
     processes = [subprocess.Popen([sys.executable, "-c", READ_ALL, str(bent), str(out)]) for out in outs]

@@ -136,7 +136,8 @@ def test_what_is_no_websocket_at_all_is_dropped(backend, enter):
     assert enter(backend).welcome.pid == backend.process.pid
 
 
-@pytest.mark.parametrize("says", [b"", b"GET / HTTP/1.1\r\n"])
+@pytest.mark.long
+@pytest.mark.parametrize("says", [b"", pytest.param(b"GET / HTTP/1.1\r\n", marks=pytest.mark.long)])
 def test_a_crowd_of_strangers_is_kept_small(start, enter, says):
     """Connections that anybody on the machine can make use up neither the open files nor the log."""
     backend = start()
@@ -179,6 +180,7 @@ for number in range(60 * 4000):
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="others take in who says nothing, and may be too slow")
 def test_in_a_storm_of_strangers_every_client_is_let_in(start, enter):
     backend = start()
@@ -337,6 +339,7 @@ def test_one_steers_and_the_others_watch(backend, enter, refusal, tmp_path):
     first.until(lambda: first.status.in_control)
 
 
+@pytest.mark.long
 def test_a_flood_of_requests_is_answered_one_by_one(backend, enter, tmp_path):
     """More than the engine takes at once: every one has an answer, those beyond the bound ``busy``."""
     peer = enter(backend)

@@ -31,6 +31,7 @@ def farewell(peer):
     return closed.value.rcvd.code, closed.value.rcvd.reason
 
 
+@pytest.mark.long
 def test_one_home_one_backend_and_its_end_when_idle(start):
     """Found by a file for its owner alone; a second one is refused; alone, it ends and tidies up."""
     first = start("--idle-timeout", "2")
@@ -52,6 +53,7 @@ def test_one_home_one_backend_and_its_end_when_idle(start):
     assert third.end(signal.SIGINT) == 0 and not file.exists()
 
 
+@pytest.mark.long
 def test_a_connected_client_keeps_it_until_shutdown(start, enter):
     backend = start("--idle-timeout", "0.5")
     peer = enter(backend, "Blender")
@@ -63,6 +65,7 @@ def test_a_connected_client_keeps_it_until_shutdown(start, enter):
     assert backend.process.wait(30) == 0
 
 
+@pytest.mark.long
 def test_a_signal_saves_the_training_and_says_good_bye(start, enter, tiny_data, tmp_path):
     backend = start()
     peer = enter(backend)

@@ -155,6 +155,7 @@ def test_a_steered_training_is_bit_identical(backend, enter, refusal, tiny_data,
     assert list((out / "tensorboard").iterdir())
 
 
+@pytest.mark.long
 def test_killed_in_the_middle_it_resumes_from_the_checkpoint(start, enter, tiny_data, whole_run, tmp_path):
     """kill −9: the file is whole, a new backend takes the home over, and the end is the same."""
     out, home = tmp_path / "run", tmp_path / "home"
@@ -575,6 +576,7 @@ def test_a_stop_and_a_pause_do_not_wait_for_the_timing(tiny_data, tmp_path, monk
             assert told[states.index("paused")].iteration == 0 and states[-1] == "stopped"
 
 
+@pytest.mark.long
 def test_training_ends_with_its_blender_if_so_wished(start, enter, tiny_data, tmp_path):
     """``keep`` (the default): it goes on. ``stop``: it is saved and stopped a few seconds later."""
     backend = start()

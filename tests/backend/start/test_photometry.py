@@ -178,6 +178,7 @@ def test_the_response_is_found_where_each_photo_has_its_own_exposure(exposures):
     assert point_response(None, None) is None
 
 
+@pytest.mark.long
 def test_points_that_err_do_not_flatten_the_response():
     """Most photos metered alike, and points that differ by a fifth from photo to photo.
 
@@ -259,7 +260,9 @@ def exposed_one_by_one():
     return Scene(Path(), "plane", views, [], [], points=points, response_anchor=anchor)
 
 
-@pytest.mark.parametrize(("mode", "error_at_most"), [("off", 0.03), ("on", 0.02)])
+@pytest.mark.parametrize(
+    ("mode", "error_at_most"), [("off", 0.03), pytest.param("on", 0.02, marks=pytest.mark.long)]
+)
 def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_at_most):
     """Its curve before the first iteration, and a line, against the camera's in closed form.
 
@@ -294,6 +297,7 @@ def test_a_training_whose_points_tell_nothing_says_why(monkeypatch):
     assert not state.part(Nuisances).values["log_gain"].any()
 
 
+@pytest.mark.long
 def test_a_faultless_camera_stays_faultless():
     rng = np.random.default_rng(4)
     views, _, _ = capture((0.25, 1.0, 4.0), eight_bit, CAMERA, rng)

@@ -110,6 +110,7 @@ def test_without_git_it_says_what_to_install(dist, tmp_path, monkeypatch):
         dist.build(tmp_path, tmp_path / "out")
 
 
+@pytest.mark.long
 def test_of_this_checkout_nothing_is_missing(dist, tmp_path):
     try:
         dist.tracked(ROOT)

@@ -141,6 +141,7 @@ def test_a_hash_that_differs_stops_it_with_the_reason(setup, environment, tmp_pa
     assert not (environment / "physhdr.stamp").exists()
 
 
+@pytest.mark.long
 def test_torch_comes_by_pips_own_settings_where_pytorchs_index_cannot_be_reached(
     setup, environment, tmp_path, monkeypatch, capsys
 ):

@@ -111,11 +111,11 @@ def numbers_of(state: State) -> list[torch.Tensor]:
 @pytest.mark.parametrize(
     ("preset", "nuisances"),
     [
-        ("default", "off"),
         ("default", "on"),
-        ("default-scaffold", "off"),
-        ("gausshdr-short", "off"),
-        ("hdr-nerf-small", "off"),
+        *(
+            pytest.param(preset, "off", marks=pytest.mark.long)
+            for preset in ("default", "default-scaffold", "gausshdr-short", "hdr-nerf-small")
+        ),
     ],
 )
 def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, tiny_data, monkeypatch):

@@ -166,7 +166,7 @@ def test_what_a_training_finds_of_wrong_poses_is_nearer_to_the_true_ones(larger_
         dataclasses.replace(view, camera=moved(view.camera, error * pixel))
         for view, error, pixel in zip(scene.train, errors, true.pixel, strict=True)
     ]
-    config = dataclasses.replace(PRESETS["default"], iterations=400, poses="on", initial_points="auto")
+    config = dataclasses.replace(PRESETS["default"], iterations=200, poses="on", initial_points="auto")
     state = begin(dataclasses.replace(scene, train=wrong, lit=[]), config)
     while state.iteration < config.iterations:
         step(state)

@@ -41,6 +41,7 @@ def test_auto_merges_noisy_brackets_alone(tiny_data, noisy):
     assert "brackets merged" in merging.start_message
 
 
+@pytest.mark.long
 def test_published_methods_see_what_the_camera_took(noisy):
     for preset in ("baseline", "gausshdr-short", "paper-short"):
         assert begun(noisy, preset).data.merged is None

@@ -80,6 +80,7 @@ def assert_identical(first, second):
         assert torch.equal(first[name], second[name]), name
 
 
+@pytest.mark.long
 def test_a_schedule_given_for_another_length_is_stretched(tiny_data, tmp_path):
     """For 240 iterations, in a training of 24: each step is a tenth, and nothing else differs."""
     config = short("paper")
@@ -153,6 +154,7 @@ def test_ground_truth_is_not_read(preset, tiny_data, tmp_path):
     assert_identical(weights(tmp_path / "clean_run"), weights(tmp_path / "spoiled_run"))
 
 
+@pytest.mark.long
 def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     """After a few hundred iterations test views, their absolute HDR scale and relighting are right."""
     scene = read_scene(tiny_data)
@@ -312,7 +314,9 @@ def error_of(state):
     return np.mean(errors)
 
 
-@pytest.mark.parametrize("preset", ["default", "baseline", "paper"])
+@pytest.mark.parametrize(
+    "preset", ["default", *(pytest.param(name, marks=pytest.mark.long) for name in ("baseline", "paper"))]
+)
 def test_the_unit_of_light_is_nothing_to_a_training(preset, tiny_data, tmp_path):
     """Photos in the sun take 1/8000 s, and white is a radiance of 8000, at ``LOG_RADIANCE_RANGE``'s end."""
     scene = read_scene(tiny_data)
@@ -581,7 +585,13 @@ def test_a_configuration_with_something_else_in_a_number_s_place_is_damaged(wher
         read_config(path)
 
 
-@pytest.mark.parametrize("preset", ["default", "default-scaffold", "hdr-nerf-small"])
+@pytest.mark.parametrize(
+    "preset",
+    [
+        "default",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("default-scaffold", "hdr-nerf-small")),
+    ],
+)
 def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
     """Made by hand, one thing wrong in each: resuming and opening say so, and never a traceback."""
     scene, config = read_scene(tiny_data), short(preset, iterations=12)

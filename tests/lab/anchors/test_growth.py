@@ -243,6 +243,7 @@ def short_training(tiny_data, resumed=None) -> State:
     return resume(resumed, scene, config) if resumed else begin(scene, config)
 
 
+@pytest.mark.long
 def test_a_short_training_learns_and_grows(tiny_data):
     trainer = short_training(tiny_data)
     before = len(trainer.method.backbone)

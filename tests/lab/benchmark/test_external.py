@@ -284,6 +284,7 @@ def test_a_budget_of_cpu_seconds_neither_waits_for_pictures_nor_they_for_a_searc
 # ---- the command ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_command_measures_pictures_as_evaluate_does(tiny_data, tmp_path, capsys):
     """The data set's own pictures under another name: nothing is nearer to the truth."""
     theirs = tmp_path / "theirs" / "tiny" / "seed_0"
@@ -320,6 +321,7 @@ def test_a_report_states_the_size_that_was_compared_and_no_noise_of_another(tiny
     assert "16×16" in half and "agree to" not in half
 
 
+@pytest.mark.long
 def test_a_report_alone_loses_no_run_that_was_evaluated(tiny_data, tmp_path, capsys):
     """Neither by weights of LPIPS that the plan names since, nor where nothing is done of a changed plan."""
     theirs, out = tmp_path / "theirs", tmp_path / "out"

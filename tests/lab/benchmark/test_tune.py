@@ -63,6 +63,7 @@ def of_the_test(data: Path, opened: set[Path]) -> list[Path]:
     return [path for path in inside if OF_THE_TEST & set(path.parts)]
 
 
+@pytest.mark.long
 def test_no_process_of_a_plan_that_tunes_opens_test_views(validation_data: Path, tmp_path: Path) -> None:
     """Not even where a library opens it, which Python does not see: there it is garbage."""
     data = shutil.copytree(validation_data, tmp_path / "tiny")
@@ -82,6 +83,7 @@ def test_no_process_of_a_plan_that_tunes_opens_test_views(validation_data: Path,
     assert "3 train, 2 lit, 3 val" in report and str(data) not in report
 
 
+@pytest.mark.long
 def test_of_another_programs_pictures_no_test_view_is_opened_either(
     validation_data: Path, tmp_path: Path
 ) -> None:

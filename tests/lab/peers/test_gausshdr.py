@@ -327,6 +327,7 @@ def test_it_goes_on_bit_identically_across_the_switch_to_local_curves(tiny_data,
     assert all(torch.equal(whole[name], parts[name]) for name in whole)
 
 
+@pytest.mark.long
 def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
     """Few soft Gaussians before a bright background are hard for the 3-D way, which blends LDR colours."""
     scene = read_scene(tiny_data)

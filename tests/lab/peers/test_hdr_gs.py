@@ -236,6 +236,7 @@ def test_a_view_whose_pose_is_learned_keeps_its_true_picture(tiny_data, tmp_path
     assert all(math.isfinite(step(state)["hdr"].item()) for _ in range(2))
 
 
+@pytest.mark.long
 def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     config = PRESETS["hdr-gs-short"]

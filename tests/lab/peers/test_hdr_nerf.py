@@ -476,6 +476,7 @@ def train(scene, config, folder, stop_at=None):
     return state
 
 
+@pytest.mark.long
 def test_a_short_training_learns_the_scene_and_its_files_hold_it(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     config = TrainConfig(method=LEARNING, iterations=300)

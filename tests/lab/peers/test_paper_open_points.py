@@ -252,7 +252,11 @@ SWITCHES = (
 OF_GAUSSIANS = ("method.direction_gradient=true", "backbone.start=3")
 
 
-@pytest.mark.parametrize(("preset", "more"), [("paper-short", OF_GAUSSIANS), ("paper-scaffold-short", ())])
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("preset", "more"),
+    [("paper-short", OF_GAUSSIANS), pytest.param("paper-scaffold-short", (), marks=pytest.mark.long)],
+)
 def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny_data, tmp_path):
     run, whole = tmp_path / "run", tmp_path / "whole"
     options = [word for each in (*SWITCHES, *more) for word in ("--set", each)]

@@ -151,6 +151,7 @@ def test_what_is_missing_or_no_such_file_is_told(tool, public, tmp_path, monkeyp
     assert not (tmp_path / "lpips.npz").exists()
 
 
+@pytest.mark.long
 def test_it_can_be_called_by_its_path():
     done = subprocess.run([sys.executable, TOOL, "--help"], capture_output=True, text=True)
     assert done.returncode == 0 and "--download" in done.stdout

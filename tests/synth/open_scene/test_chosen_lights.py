@@ -49,6 +49,7 @@ CHOSEN = (
 )
 
 
+@pytest.mark.long
 def test_collections_are_lights_of_their_own(scene, tmp_path):
     """Each light's pass is what a render with that light alone shows, and the picture at any levels is their
     sum times the levels: against a render by Cycles with the strengths themselves turned."""

@@ -75,6 +75,7 @@ class TestCommandLine:
         assert error["code"] == "conflict" and "seed is 0 there, 3 asked" in error["message"]
         assert "another folder" in error["hint"]
 
+    @pytest.mark.long
     def test_ctrl_c_in_the_middle_of_a_frame(self, scene, tmp_path):
         """It ends with 130 after the frame, and the same command makes the rest."""
         import signal

@@ -23,7 +23,9 @@ from physhdr.tests.synth.open_scene.user_scene import (
 )
 
 
-@pytest.mark.parametrize("prepare", [lambda scene: None, linked_strength])
+@pytest.mark.parametrize(
+    "prepare", [linked_strength, pytest.param(lambda scene: None, marks=pytest.mark.long)]
+)
 def test_a_level_scales_the_world_and_the_suns_alone(scene, tmp_path, prepare):
     """The relit truth at level 4 is lamps + 4 × ambient, both rendered apart with the light deleted."""
     prepare(scene)

@@ -58,7 +58,13 @@ def test_another_working_space_is_converted_on_the_way_out(scene, tmp_path):
     assert readers.read_json(tmp_path / "b/dataset.json")["working_space"] == "Linear Rec.709"
 
 
-@pytest.mark.parametrize("called", ["Linear Rec.709 (sRGB)", "Utility - Linear - sRGB", "Something Else"])
+@pytest.mark.parametrize(
+    "called",
+    [
+        "Utility - Linear - sRGB",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("Linear Rec.709 (sRGB)", "Something Else")),
+    ],
+)
 def test_another_configuration_of_colours(scene, tmp_path, monkeypatch, called):
     """Blender's own, in which Rec.709 has another name: the same radiance, or an error with a remedy."""
     own = Path(bpy.utils.resource_path("LOCAL"), "datafiles/colormanagement")

@@ -156,6 +156,7 @@ def begin(out: Path, *more: str) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.long
 def test_what_a_killed_call_left_goes_and_what_another_is_at_stays(tmp_path: Path) -> None:
     begin(tmp_path / "data").wait()
     (left,) = tmp_path.iterdir()
@@ -169,6 +170,7 @@ def test_what_a_killed_call_left_goes_and_what_another_is_at_stays(tmp_path: Pat
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
+@pytest.mark.long
 def test_a_former_data_set_that_a_kill_left_aside_is_kept(tmp_path: Path) -> None:
     begin(tmp_path / "data").wait()
     (left,) = tmp_path.iterdir()
