@@ -9,14 +9,14 @@ in ``standard``. docs/formats.md specifies the file.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from .atomic import atomic_path
 from .errors import BadValueError, DataMismatchError
-from .lights import check_lights
+from .lights import AMBIENT, check_lights
 from .limits import check_level, is_number
 from .regular import read_json_object
 
@@ -61,6 +61,22 @@ class LightGroups:
     def levels(self, group: LightGroup) -> tuple[float | None, ...]:
         """One for each of ``lights``; None where training finds it."""
         return tuple(group.levels.get(light, self.standard.get(light, 1.0)) for light in self.lights)
+
+    def of_pictures(self, pictures: Mapping[str, Sequence[str]]) -> "LightGroups | None":
+        """The same with ``pictures`` by group, without groups that have none and lights that only they name.
+
+        None where no group is left.
+        """
+        groups = tuple(
+            replace(group, pictures=tuple(sorted(pictures[group.name])))
+            for group in self.groups
+            if pictures.get(group.name)
+        )
+        if not groups:
+            return None
+        named = {AMBIENT, *(light for group in groups for light in group.levels)}
+        lights = tuple(light for light in self.lights if light in named)
+        return LightGroups(lights, groups, {k: v for k, v in self.standard.items() if k in named})
 
     def group_of(self, pose: str, pictures: Iterable[str] = ()) -> LightGroup | None:
         """The group of a pose, which may go by its pictures' names too; None: the standard.

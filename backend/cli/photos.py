@@ -24,6 +24,7 @@ from ..scene.capture.choice import Choice, Quality, photos_to_match, quality
 from ..scene.capture.data_set import Written, new_folder, write_data_set
 from ..scene.capture.exposures import some_names
 from ..scene.capture.gravity import rotation_to_z, up_direction
+from ..scene.capture.light_folders import LightFolder, ignored_folders, light_folders
 from ..scene.capture.noise import Noise, estimated
 from ..scene.capture.photos import Photo, Skipped
 from ..scene.capture.progress import Report, Stages
@@ -46,6 +47,10 @@ from .preparing import Preparing
 
 #: Noise is estimated from this many raw files per ISO if the files do not state it.
 NOISE_PHOTOS = 6
+LIGHT_REMEDY = (
+    "Take them from places of the standard photos, looking the same way, and long enough exposed to show "
+    "texture."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +59,13 @@ class PhotoOptions:
 
     #: Only report what the photos are, and write nothing.
     look: bool = False
+    #: A folder of photos under other light, and the light that differs: pendant=FOLDER:off. Instead of off:
+    #: on (the light is on in this folder alone), a factor (0.25, 2x), or unknown, evening and so on, for a
+    #: level to be found. Repeatable, also for one folder. Folders in or beside the photos' that are called so
+    #: ("pendant off") need no option; none: they are not used.
+    light: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER:WORD"), tyro.conf.UseAppendAction
+    ] = ()
     #: Exposures where EXIF has none: JSON or CSV, file name → seconds.
     exposures: Path | None = None
     #: All photos have the same exposure, whatever EXIF says.
@@ -95,7 +107,8 @@ class Photos(PhotoOptions, Preparing):
 
     def work(self) -> dict[str, Any]:
         reporter = JsonReporter() if self.json else TerminalReporter()
-        self._check()
+        lit = light_folders(self.source, self.light)
+        self._check(lit)
         understood = understand(
             self.source,
             self.exposures,
@@ -104,7 +117,9 @@ class Photos(PhotoOptions, Preparing):
             self.bracket,
             self.handheld,
             lambda done, of: reporter.progress(Report(0.0, f"reading headers: {done} of {of}")),
+            lit,
         )
+        self._say_folders(lit, reporter)
         for each in understood.lines:
             reporter.say(each)
         for each in understood.warnings:
@@ -125,11 +140,18 @@ class Photos(PhotoOptions, Preparing):
         )
         return {"folder": str(folder), **result}
 
+    def _say_folders(self, lit: list[LightFolder], reporter: "Reporter") -> None:
+        if lit and not self.light:
+            names = ", ".join(f"'{each.folder.name}'" for each in lit)
+            reporter.say(f"folders whose names say which light differs: {names}; --light none ignores them")
+        if ignored := ignored_folders(self.source, lit):
+            reporter.say(f"ignoring folders of photos whose names say no light: {some_names(ignored)}")
+
     @property
     def _smaller(self) -> float:
         return 1.0 if self.downscale is None else self.downscale
 
-    def _check(self) -> None:
+    def _check(self, lit: list[LightFolder]) -> None:
         """Raises ``BadValueError`` and ``OutputError`` for impossible options."""
         if not (math.isfinite(self._smaller) and self._smaller >= 1.0) or self.max_width < 0:
             raise BadValueError(
@@ -145,9 +167,10 @@ class Photos(PhotoOptions, Preparing):
         self._check_together()
         if self.look:
             return
-        photos, out = resolved(self.source), resolved(self.folder)
-        if out == photos or out in photos.parents:
-            raise OutputError(f"{self.folder} holds the photos", "Give another folder for the data set.")
+        out = resolved(self.folder)
+        for photos in map(resolved, (self.source, *(each.folder for each in lit))):
+            if out == photos or out in photos.parents:
+                raise OutputError(f"{self.folder} holds the photos", "Give another folder for the data set.")
 
     def _check_together(self) -> None:
         """Raises ``BadValueError`` for options that exclude each other."""
@@ -178,6 +201,7 @@ class Photos(PhotoOptions, Preparing):
         if self.borrow_poses and understood.is_handheld:
             structure, borrowed = _borrowed(structure, understood)
         _require_enough(structure, understood, self.partial)
+        dark = _groups_left_out(structure, understood, self.partial)
         up = up_direction([pose.rotation for pose in structure.registered.values()])
         structure = structure.turned(rotation_to_z(up))
         lenses = self._lenses(structure)
@@ -195,6 +219,7 @@ class Photos(PhotoOptions, Preparing):
             "options": {
                 key: _plain(value) for key, value in dataclasses.asdict(self).items() if key != "json"
             },
+            "lights": understood.lights_in_words(dark),
             "left_out": left_out,
             "borrowed": {brackets.poses[k].name: brackets.poses[of].name for k, of in borrowed.items()},
             "skipped": {each.name: each.why for each in understood.skipped},
@@ -209,6 +234,7 @@ class Photos(PhotoOptions, Preparing):
             origin,
             lambda done, of: stages.at(done / of, f"writing pictures: {done} of {of}"),
             borrowed,
+            understood.lights,
         )
         sizes = sorted({(lens.width, lens.height) for lens in lenses.values()}, reverse=True)
         self._report(understood, structure, written, sizes, reporter)
@@ -217,6 +243,8 @@ class Photos(PhotoOptions, Preparing):
             reporter.warn(
                 f"{len(borrowed)} photos took the pose of the next in their bracket: {some_names(names)}"
             )
+        for group in dark:
+            reporter.warn(f"ignoring '{group}': none of its photos could be placed. {LIGHT_REMEDY}")
         if left_out:
             reporter.warn(f"ignoring photos that could not be placed: {some_names(left_out)}")
             if understood.is_handheld and not self.borrow_poses:
@@ -295,6 +323,7 @@ class Photos(PhotoOptions, Preparing):
         )
         for camera in structure.cameras.values():
             reporter.say(f"lens: {camera.model_name} {camera.params_to_string()}")
+        understood.say_lights(structure.registered, reporter.say, reporter.warn)
         reporter.say("the world was rotated so that +Z is up; its scale is arbitrary, not metres")
 
 
@@ -329,9 +358,9 @@ def _rated(
         understood = understood.without(damaged)
         for each in damaged:
             reporter.warn(f"ignored: {each.name} {each.why}")
-        if len(understood.brackets.poses) < FEWEST_POSES:
+        if len(understood.standard.poses) < FEWEST_POSES:
             raise DataMismatchError(
-                f"only {len(understood.brackets.poses)} poses have undamaged photos; at least {FEWEST_POSES} "
+                f"only {len(understood.standard.poses)} poses have undamaged photos; at least {FEWEST_POSES} "
                 "are needed",
                 CAPTURE_REMEDY,
             )
@@ -359,13 +388,28 @@ def _borrowed(structure: Structure, understood: Understanding) -> tuple[Structur
 
 def _require_enough(structure: Structure, understood: Understanding, partial: bool) -> None:
     brackets = understood.brackets
-    placed, all_poses = len(structure.registered), len(brackets.poses)
+    standard = [k for k, pose in enumerate(brackets.poses) if not pose.group]
+    placed, all_poses = sum(k in structure.registered for k in standard), len(standard)
     if placed < FEWEST_POSES or (2 * placed < all_poses and not partial):
-        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
+        left_out = [brackets.poses[k].name for k in standard if k not in structure.registered]
         raise StructureError(
             f"only {placed} of {all_poses} poses could be placed; not {some_names(left_out)}",
             CAPTURE_REMEDY + " --partial continues with those that were placed.",
         )
+
+
+def _groups_left_out(structure: Structure, understood: Understanding, partial: bool) -> list[str]:
+    """The groups under other light of which no photo was placed; raises ``StructureError`` if all are."""
+    poses = understood.brackets.poses
+    groups = [group for group in understood.brackets.groups if group]
+    placed = {poses[number].group for number in structure.registered}
+    left_out = [group for group in groups if group not in placed]
+    if groups and left_out == groups and not partial:
+        raise StructureError(
+            f"no photo under other light could be placed: {some_names(left_out)}",
+            f"{LIGHT_REMEDY} --light none, or --partial, continues with the standard light alone.",
+        )
+    return left_out
 
 
 def _encoding(understood: Understanding) -> dict[str, Any]:

@@ -42,10 +42,17 @@ class Bracket:
     photos: tuple[Photo, ...]
     seconds: tuple[float, ...]
 
+    @property
+    def group(self) -> str:
+        """Of photos under one light; empty: the standard one."""
+        return self.photos[0].group
+
 
 @dataclass(frozen=True)
 class Brackets:
     """All poses in the order in which they were taken, each with as many photos; ``how`` they were found.
+
+    Those of each light follow each other, and may have another number of photos (``of``, ``joined``).
 
     ``places``: the number of the place that each pose is of, where a hand-held bracket has several poses;
     empty: each is a place of its own.
@@ -58,6 +65,21 @@ class Brackets:
     @property
     def photos(self) -> list[Photo]:
         return [photo for pose in self.poses for photo in pose.photos]
+
+    @property
+    def groups(self) -> list[str]:
+        """The lights that the poses are under, the standard one first (an empty name)."""
+        return list(dict.fromkeys(pose.group for pose in self.poses))
+
+    def of(self, group: str) -> "Brackets":
+        """The poses under one light: of these alone all have as many photos."""
+        numbers = [number for number, pose in enumerate(self.poses) if pose.group == group]
+        return self.only(numbers)
+
+    def only(self, numbers: Sequence[int]) -> "Brackets":
+        """Some of the poses."""
+        places = tuple(self.places[number] for number in numbers) if self.places else ()
+        return Brackets(tuple(self.poses[number] for number in numbers), self.how, places)
 
     @property
     def place_of(self) -> tuple[int, ...]:
@@ -75,7 +97,7 @@ class Brackets:
         poses, places = [], []
         for place, pose in enumerate(self.poses):
             for photo, seconds in zip(pose.photos, pose.seconds, strict=True):
-                poses.append(Bracket(photo.path.stem, (photo,), (seconds,)))
+                poses.append(Bracket(photo.stem, (photo,), (seconds,)))
                 places.append(place)
         return Brackets(tuple(poses), f"hand-held; {self.how}", tuple(places))
 
@@ -128,6 +150,19 @@ def find_brackets(
     return _by_order(_in_order(photos, seconds), seconds, length, by == "auto")
 
 
+def joined(parts: Sequence[Brackets]) -> Brackets:
+    """Those of several lights as one, places and all; ``how``: the first's."""
+    if len(parts) == 1:
+        return parts[0]
+    places: list[int] = []
+    for part in parts:
+        before = max(places, default=-1) + 1
+        places += [before + place for place in part.place_of]
+    has_places = any(part.places for part in parts)
+    poses = tuple(pose for part in parts for pose in part.poses)
+    return Brackets(poses, parts[0].how, tuple(places) if has_places else ())
+
+
 def _without(photos: Sequence[Photo], seconds: Mapping[str, float], how: str) -> Brackets:
     """Each photo is a pose."""
     return Brackets(tuple(_bracket([photo], seconds) for photo in photos if photo.name in seconds), how)
@@ -135,9 +170,7 @@ def _without(photos: Sequence[Photo], seconds: Mapping[str, float], how: str) ->
 
 def _bracket(photos: Sequence[Photo], seconds: Mapping[str, float], name: str = "") -> Bracket:
     ordered = sorted(photos, key=lambda photo: seconds[photo.name])
-    return Bracket(
-        name or photos[0].path.stem, tuple(ordered), tuple(seconds[photo.name] for photo in ordered)
-    )
+    return Bracket(name or photos[0].stem, tuple(ordered), tuple(seconds[photo.name] for photo in ordered))
 
 
 def _checked(groups: list[list[Photo]], seconds: Mapping[str, float], how: str) -> Brackets:
@@ -170,13 +203,13 @@ def _checked(groups: list[list[Photo]], seconds: Mapping[str, float], how: str) 
 def _by_name(photos: Sequence[Photo]) -> dict[str, list[Photo]]:
     groups: dict[str, list[Photo]] = {}
     for photo in photos:
-        match = NAMED.fullmatch(photo.path.stem)
-        groups.setdefault(match[1] if match else photo.path.stem, []).append(photo)
+        match = NAMED.fullmatch(photo.stem)
+        groups.setdefault(match[1] if match else photo.stem, []).append(photo)
     return dict(sorted(groups.items(), key=lambda item: natural_order(item[0])))
 
 
 def _steps(group: Sequence[Photo]) -> list[int]:
-    return sorted(int(match[2]) for photo in group if (match := NAMED.fullmatch(photo.path.stem)))
+    return sorted(int(match[2]) for photo in group if (match := NAMED.fullmatch(photo.stem)))
 
 
 def _is_plain(groups: Mapping[str, list[Photo]], seconds: Mapping[str, float]) -> bool:

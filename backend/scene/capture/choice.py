@@ -58,17 +58,34 @@ def photos_to_match(
 ) -> tuple[dict[int, Photo], str]:
     """One photo for each pose's number, and in words which.
 
-    ``choice``: ``same``, the step that is best exposed over all poses, with the fewest clipped pixels;
-    ``each``, that of each pose; or a step, 0 the darkest. ``qualities``: by file name. Raises
+    ``choice``: ``same``, the step that is best exposed over all poses of one light, with the fewest clipped
+    pixels; ``each``, that of each pose; or a step, 0 the darkest. ``qualities``: by file name. Raises
     ``BadValueError`` where the step is not there.
     """
+    chosen: dict[int, Photo] = {}
+    words = []
+    for group in dict.fromkeys(pose.group for pose in poses):
+        numbers = [number for number, pose in enumerate(poses) if pose.group == group]
+        steps, which = _steps_to_match([poses[number] for number in numbers], choice, qualities)
+        chosen |= {number: poses[number].photos[step] for number, step in zip(numbers, steps, strict=True)}
+        words.append(f"{group}: {which}" if group else which)
+    return chosen, "; ".join(words)
+
+
+def _steps_to_match(
+    poses: Sequence[Bracket], choice: Choice, qualities: Mapping[str, Quality]
+) -> tuple[list[int], str]:
+    """The same for poses of one light: the step of each."""
     length = len(poses[0].photos)
     if isinstance(choice, int):
         if not 0 <= choice < length:
-            raise BadValueError(f"there is no step {choice}", f"Steps are 0 (the darkest) to {length - 1}.")
-        return {number: pose.photos[choice] for number, pose in enumerate(poses)}, f"step {choice}, as asked"
+            of = f" in '{poses[0].group}'" if poses[0].group else ""
+            raise BadValueError(
+                f"there is no step {choice}{of}", f"Steps are 0 (the darkest) to {length - 1}."
+            )
+        return [choice] * len(poses), f"step {choice}, as asked"
     if length == 1:
-        return {number: pose.photos[0] for number, pose in enumerate(poses)}, "the only exposure"
+        return [0] * len(poses), "the only exposure"
     found = [[qualities[photo.name] for photo in pose.photos] for pose in poses]
     measured = np.array([[(each.clipped, each.median) for each in pose] for pose in found])
     if choice == "each":
@@ -79,7 +96,7 @@ def photos_to_match(
         step = best_step(measured.mean(axis=0))
         best = [step] * len(poses)
         words = f"step {step} of 0…{length - 1}, the best exposed ({measured[:, step, 0].mean():.1%} clipped)"
-    return {number: pose.photos[best[number]] for number, pose in enumerate(poses)}, words
+    return best, words
 
 
 def best_step(measured: np.ndarray) -> int:

@@ -3,7 +3,8 @@
 
 ``images/<split>_<pose:03d>_<k>.png`` (``masks/`` of the same names: black where a picture is not to be
 compared), ``exposure.json`` (file name → seconds), ``sparse/0`` of COLMAP with
-one image for each pose, named as its picture k = 0, and ``prepare.json``: where it all came from.
+one image for each pose, named as its picture k = 0, ``prepare.json``: where it all came from, and of photos
+under several lights ``lights.json``.
 """
 
 import json
@@ -12,7 +13,7 @@ import os
 import re
 import secrets
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,7 @@ from ....bridge.affine import quaternion_of
 from ....bridge.atomic import patiently
 from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
+from ....bridge.light_groups import LightGroups, write_light_groups
 from ....bridge.regular import resolved
 from ..held_out_views import held_out_places
 from ..lens import Lens
@@ -42,10 +44,12 @@ from .structure import RegisteredPose, Structure
 IN_USE_FILE = "in-use.lock"
 #: All that this command, or a desktop unasked, writes into a data set.
 WRITTEN = re.compile(
-    r"prepare\.json|exposure\.json|images(/(train|test)_\d+_\d\.png)?"
+    r"prepare\.json|exposure\.json|lights\.json|images(/(train|test)_\d+_\d\.png)?"
     r"|masks(/(train|test)_\d+_\d\.png)?|sparse(/0(/(cameras|images|points3D)\.bin)?)?"
     r"|(.+/)?(\.DS_Store|Thumbs\.db|desktop\.ini)"  # by whoever has looked at the folder
 )
+#: Of fewer places under other light all are trained from.
+FEWEST_LIT = 5
 #: COLMAP's number for a pinhole camera with fx, fy, cx, cy.
 PINHOLE = 1
 
@@ -174,19 +178,28 @@ def test_poses(
 ) -> set[int]:
     """The numbers of the registered poses for the test: all of each place that ``held_out_places`` chooses.
 
-    ``every``: about how many places there are to one for the test; 0: none. ``borrowed``: poses that nobody
-    found by themselves: their places are not for the test.
+    By itself of the photos of each light, where those under other light than the standard have
+    ``FEWEST_LIT`` places. ``every``: about how many places there are to one for the test; 0: none.
+    ``borrowed``: poses that nobody found by themselves: their places are not for the test.
     """
-    places: dict[int, list[int]] = {}
-    for number in structure.registered:
-        places.setdefault(brackets.place_of[number], []).append(number)
-    places = {place: numbers for place, numbers in places.items() if not {*numbers} & {*borrowed}}
-    if not every or not places:
-        return set()
-    poses = [[structure.registered[number] for number in numbers] for numbers in places.values()]
+    chosen: set[int] = set()
+    place_of = brackets.place_of
+    for group in brackets.groups:
+        places: dict[int, list[int]] = {}
+        for number in structure.registered:
+            if brackets.poses[number].group == group:
+                places.setdefault(place_of[number], []).append(number)
+        places = {place: numbers for place, numbers in places.items() if not {*numbers} & {*borrowed}}
+        if every and len(places) >= (FEWEST_LIT if group else 1):
+            chosen |= _held_out(list(places.values()), structure, every)
+    return chosen
+
+
+def _held_out(groups: Sequence[Sequence[int]], structure: Structure, every: int) -> set[int]:
+    """The poses of the places, each a group of them, that ``held_out_places`` chooses."""
+    poses = [[structure.registered[number] for number in numbers] for numbers in groups]
     positions = np.array([np.mean([pose.position for pose in group], axis=0) for group in poses])
     directions = np.array([group[0].rotation[2] for group in poses])
-    groups = list(places.values())
     return {number for k in held_out_places(positions, directions, every) for number in groups[k]}
 
 
@@ -199,19 +212,21 @@ def write_data_set(
     origin: dict[str, Any],
     done: Callable[[int, int], None] = lambda pictures, of: None,
     borrowed: Collection[int] = (),
+    lights: LightGroups | None = None,
 ) -> Written:
     """Write the registered poses into ``folder``; ``done`` is told after every picture.
 
     ``lenses``: one for each of the structure's cameras. ``test_every``, ``borrowed``: as ``test_poses``.
-    ``origin`` goes into ``prepare.json``, with the source of every picture.
+    ``origin`` goes into ``prepare.json``, with the source of every picture. ``lights``: of the photos'
+    groups, whose pictures are to be named.
     """
     test = test_poses(brackets, structure, test_every, borrowed)
-    k_of = NUMBERS[brackets.length]
     (folder / "images").mkdir()
     exposures: dict[str, float] = {}
     sources: dict[str, str] = {}
     names: dict[int, str] = {}
-    total = len(structure.registered) * len(k_of)
+    pictures: dict[str, list[str]] = {}
+    total = sum(len(brackets.poses[number].photos) for number in structure.registered)
     written = 0
     # Of each place, not pose: of a hand-held bracket each photo is a pose.
     place_of = brackets.place_of
@@ -223,6 +238,7 @@ def write_data_set(
     for number, pose in sorted(structure.registered.items(), key=lambda item: (item[1].camera, item[0])):
         bracket = brackets.poses[number]
         stem = f"{'test' if number in test else 'train'}_{number:03d}"
+        k_of = NUMBERS[len(bracket.photos)]
         for k, photo, seconds in zip(k_of, bracket.photos, bracket.seconds, strict=True):
             name = f"{stem}_{k}.png"
             shorter = seconds > shortest[place_of[number]]
@@ -231,8 +247,12 @@ def write_data_set(
             written += 1
             done(written, total)
         names[number] = f"{stem}_0.png"
+        pictures.setdefault(bracket.group, []).append(stem)
     _write_json(folder / EXPOSURE_FILE, dict(sorted(exposures.items())))
     _write_json(folder / CAPTURE_FILE, {**origin, "sources": dict(sorted(sources.items()))})
+    placed = lights.of_pictures(pictures) if lights is not None else None
+    if placed is not None:
+        write_light_groups(folder, placed)
     points = _write_sparse(folder / "sparse" / "0", structure, lenses, names)
     error = reprojection_error(structure, lenses)
     return Written(len(structure.registered) - len(test), len(test), written, points, error)

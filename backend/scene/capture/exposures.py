@@ -4,6 +4,7 @@
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +111,8 @@ def _require(photos: Sequence[Photo], what: str, values: Sequence[float | None])
 def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
     """From JSON ``{"name": seconds}`` or CSV ``name,seconds``; a name is with or without its suffix.
 
-    Its case and the spelling of its accents do not count.
+    Its case and the spelling of its accents do not count. Photos under other light may go by their group or
+    folder, too (``pendant off/IMG_1.jpg``), and must where another folder has a file of that name.
 
     Raises ``FileMissingError``, ``FileDamagedError`` (neither JSON nor CSV), ``BadValueError`` (no positive
     number), ``DataMismatchError`` (a photo without an exposure).
@@ -124,8 +126,14 @@ def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
             table = _csv(read_text(path, GIVE_A_FILE))
     by_name = {**{alike(name): entry for name, entry in table.items()}, **table}
     seconds = {}
+    folders = Counter(photo.path.stem for photo in photos)
     for photo in photos:
-        names = photo.name, photo.path.stem, alike(photo.name), alike(photo.path.stem)
+        names, path = [photo.name, photo.stem], photo.path
+        if photo.group:
+            names += [f"{path.parent.name}/{path.name}", f"{path.parent.name}/{path.stem}"]
+        if photo.group and folders[path.stem] == 1:
+            names += [path.name, path.stem]
+        names += [alike(name) for name in names]
         entry = next((by_name[name] for name in names if by_name.get(name) is not None), None)
         if entry is not None:
             seconds[photo.name] = _seconds(entry, photo.name, path)

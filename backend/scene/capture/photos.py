@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A user's photos: which there are, what their EXIF says, their pixels. Nothing here writes."""
 
+import itertools
 import math
 import os
 import re
@@ -66,7 +67,8 @@ class Photo:
     ``f_number``: focal length / aperture. ``focal_35mm``: millimetres on 35 mm film; ``focal``: the lens's.
     ``digital_zoom``: how many times a crop was enlarged (1: not). ``bias``, ``brightness``: as ``exif.Exif``.
     ``camera``: maker and model. ``auto_bracket``: that it was taken by automatic bracketing. ``panorama``:
-    that it shows all around. ``mask``: a picture that is black where it is not to be looked at.
+    that it shows all around. ``mask``: a picture that is black where it is not to be looked at. ``group``: of
+    photos under one light, by name; empty: under the standard one.
     ``white_balance``: of a raw file, the factors of red, green and blue that it is developed with; None: a
     picture. ``noise``: what a raw file tells of it. ``deep``: of a picture, that it has more than 8 bits a
     channel. ``orientation``: how the file stores it, 1 to 8 as in EXIF (1: upright; so is every HEIC).
@@ -97,10 +99,17 @@ class Photo:
     is_heic: bool = False
     profile: Profile | None = None
     unconverted: str = ""
+    group: str = ""
 
     @property
     def name(self) -> str:
-        return self.path.name
+        """Of one photo alone: two folders may have files of one name."""
+        return f"{self.group}/{self.path.name}" if self.group else self.path.name
+
+    @property
+    def stem(self) -> str:
+        """The name without its suffix."""
+        return f"{self.group}/{self.path.stem}" if self.group else self.path.stem
 
     @property
     def is_raw(self) -> bool:
@@ -295,59 +304,112 @@ def alike(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, of: None) -> Found:
+def find_photos(
+    folder: Path,
+    done: Callable[[int, int], None] = lambda photos, of: None,
+    lit: Mapping[str, Path] | None = None,
+) -> Found:
     """Every photo in ``folder`` (not below it), in the order of names, with its EXIF. Headers only.
 
     Of several files of the same stem one is taken: the raw file, or the HEIC before the JPEG, or of the kind
     of which there are more. Damaged files, videos, 360° pictures and other cameras' photos are skipped.
-    ``done`` is told after every file.
+    ``done`` is told after every file. ``lit``: folders of photos under other light by the name of their
+    group, which follow in this order; the kind, camera and white balance are those of ``folder``'s photos.
 
     Raises ``FileMissingError`` (no folder, no photos in it, no library for raw files or HEIC),
     ``FileDamagedError`` (no file can be read, a mask cannot), ``DataMismatchError`` (all are 360° pictures, a
     mask is of another size than its photo), ``BadValueError`` (a name that is not UTF-8).
     """
-    if not folder.is_dir():
-        raise FileMissingError(
-            f"the folder of photos {folder} does not exist", "Give the folder they are in."
-        )
-    files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
-    files.sort(key=lambda path: natural_order(path.name))
-    paths = [path for path in files if path.suffix.lower() in (*SUFFIXES, *raw.SUFFIXES)]
-    if not paths:
-        raise FileMissingError(f"{folder} holds no photos{_what_else(folder, files)}", _remedy(files))
-    _require_text_names([*paths, *(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)])
     notes: list[str] = []
-    paths = _one_of_each(paths, notes)
-    _require_libraries(paths)
+    folders = [_Folder(group, place, notes) for group, place in {"": folder, **(lit or {})}.items()]
+    total, read = sum(len(each.paths) for each in folders), itertools.count(1)
     photos: list[Photo] = []
     skipped: list[Skipped] = []
-    errors: list[FileDamagedError] = []
-    damaged: list[Path] = []
-    for number, path in enumerate(paths):
-        try:
-            photos.append(_read_header(path))
-        except FileDamagedError as error:
-            errors.append(error)
-            if not isinstance(error, UnreadKindError):
-                damaged.append(path)
-            skipped.append(Skipped(path.name, _why(error, path)))
-        done(number + 1, len(paths))
-    if not photos:
-        raise errors[0]
-    skipped += _videos(files, {path.stem for path in paths}, notes)
+    damaged: list[Photo] = []
+    for each in folders:
+        photos += each.read(skipped, damaged, lambda: done(next(read), total))
+        skipped += each.videos(notes)
     photos = _flat(photos, skipped)
     photos = _of_one_kind(photos, skipped)
     photos = _of_one_camera(photos, skipped)
-    masks = _masks(folder)
-    photos = [_with_mask(photo, masks) for photo in photos]
+    masks = {each.group: _masks(each.place, beside=not each.group) for each in folders}
+    photos = [_with_mask(photo, masks[photo.group]) for photo in photos]
     if photos[0].is_raw:
         photos, note = _one_white_balance(photos)
         notes.append(note)
     told, warnings = _of_profiles(photos)
     notes += told
-    warnings += _without_photo(masks, paths)
-    used = [path for path in damaged if (_family(path) == "raw") == photos[0].is_raw]
-    return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used], warnings)
+    for each in folders:
+        warnings += _without_photo(masks[each.group], each.paths)
+    used = [photo for photo in damaged if (_family(photo.path) == "raw") == photos[0].is_raw]
+    return Found(photos, skipped, notes, used, warnings)
+
+
+class _Folder:
+    """A folder of photos, those of a ``group`` (empty: the standard light), and what else is in it.
+
+    Raises ``FileMissingError`` where it does not exist or holds no photos, or for a library that is not
+    installed, ``BadValueError`` for a name that is not UTF-8. ``notes`` takes what is said of copies.
+    """
+
+    def __init__(self, group: str, place: Path, notes: list[str]) -> None:
+        self.group, self.place = group, place
+        if not place.is_dir():
+            raise FileMissingError(
+                f"the folder of photos {place} does not exist", "Give the folder they are in."
+            )
+        self.files = sorted(
+            (path for path in place.iterdir() if path.is_file() and not path.name.startswith(".")),
+            key=lambda path: natural_order(path.name),
+        )
+        paths = [path for path in self.files if is_photo(path)]
+        if not paths:
+            raise FileMissingError(
+                f"{place} holds no photos{_what_else(place, self.files)}", _remedy(self.files)
+            )
+        videos = (path for path in self.files if path.suffix.lower() in VIDEO_SUFFIXES)
+        _require_text_names([*paths, *videos])
+        self.paths = _one_of_each(paths, notes)
+        _require_libraries(self.paths)
+
+    def read(self, skipped: list[Skipped], damaged: list[Photo], done: Callable[[], None]) -> list[Photo]:
+        """The photos that can be read; raises ``FileDamagedError`` where none can."""
+        photos: list[Photo] = []
+        errors: list[FileDamagedError] = []
+        for path in self.paths:
+            nothing_known = Photo(path, 0, 0, group=self.group)
+            try:
+                photos.append(replace(_read_header(path), group=self.group))
+            except FileDamagedError as error:
+                errors.append(error)
+                if not isinstance(error, UnreadKindError):
+                    damaged.append(nothing_known)
+                skipped.append(Skipped(nothing_known.name, _why(error, path)))
+            done()
+        if not photos:
+            raise errors[0]
+        return photos
+
+    def videos(self, notes: list[str]) -> list[Skipped]:
+        return _videos(self.files, {path.stem for path in self.paths}, notes)
+
+
+def is_photo(path: Path) -> bool:
+    """By its suffix."""
+    return path.suffix.lower() in (*SUFFIXES, *raw.SUFFIXES)
+
+
+def holds_photos(folder: Path) -> bool:
+    """Whether a photo lies in ``folder``, by suffixes; False where it cannot be looked at."""
+    try:
+        return any(is_photo(path) and not path.name.startswith(".") for path in folder.iterdir())
+    except OSError:
+        return False
+
+
+def _standard(photos: list[Photo]) -> list[Photo]:
+    """Those of no group, by which all are judged; all where there are none."""
+    return [photo for photo in photos if not photo.group] or photos
 
 
 def _of_profiles(photos: Sequence[Photo]) -> tuple[list[str], list[str]]:
@@ -515,7 +577,7 @@ def _flat(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
 
 def _of_one_kind(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
     """Raw files or pictures, whichever are more: their codes mean different things."""
-    kinds = Counter(photo.is_raw for photo in photos)
+    kinds = Counter(photo.is_raw for photo in _standard(photos))
     kept = kinds[True] >= kinds[False]
     what = "raw files" if kept else "pictures"
     skipped += [
@@ -528,10 +590,10 @@ def _of_one_kind(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
 
 def _of_one_camera(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
     """Those of the camera that took most: another one has another response, of which nothing is known."""
-    cameras = Counter(photo.camera for photo in photos if photo.camera is not None)
-    if len(cameras) < 2:
+    if len({photo.camera for photo in photos} - {None}) < 2:
         return photos
-    main = cameras.most_common(1)[0][0]
+    judged = [photo for photo in photos if photo.camera is not None]
+    main = Counter(photo.camera for photo in _standard(judged)).most_common(1)[0][0]
     skipped += [
         Skipped(photo.name, f"was taken by {photo.camera}, most others by {main}: prepare them by themselves")
         for photo in photos
@@ -542,19 +604,20 @@ def _of_one_camera(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
 
 def _one_white_balance(photos: list[Photo]) -> tuple[list[Photo], str]:
     """All are developed with that of the photo whose own is the middle one."""
-    own = [photo.white_balance for photo in photos if photo.white_balance is not None]
+    judged = _standard(photos)
+    own = [photo.white_balance for photo in judged if photo.white_balance is not None]
     chosen = raw.common_white_balance(own)
     factors = ", ".join(f"{factor:.3f}" for factor in own[chosen])
     others = "" if len(set(own)) == 1 else f", the middle one of {len(set(own))}"
-    words = f"white balance (red, green, blue) {factors}: the camera's in {photos[chosen].name}{others}"
+    words = f"white balance (red, green, blue) {factors}: the camera's in {judged[chosen].name}{others}"
     return [replace(photo, white_balance=own[chosen]) for photo in photos], words
 
 
-def _masks(folder: Path) -> dict[str, list[Path]]:
-    """The pictures in ``masks/`` in the photos' folder or beside it, by their names' stems as ``alike``."""
+def _masks(folder: Path, beside: bool) -> dict[str, list[Path]]:
+    """The pictures in ``masks/`` in the photos' folder, also ``beside`` it, by their stems as ``alike``."""
     masks: dict[str, list[Path]] = {}
     whole = Path(os.path.abspath(folder))  # "." has no parent
-    for place in (folder / MASKS, whole.parent / MASKS):
+    for place in (folder / MASKS, whole.parent / MASKS)[: 1 + beside]:
         for path in sorted(place.iterdir()) if place.is_dir() and place != whole else ():
             if path.suffix.lower() in MASK_SUFFIXES and not path.name.startswith(".") and path.is_file():
                 masks.setdefault(alike(path.stem), []).append(path)

@@ -182,6 +182,23 @@ def pairs_of_places(places: Sequence[int], steps: Sequence[int]) -> list[tuple[i
     return sorted({(min(pair), max(pair)) for pair in pairs})
 
 
+def pairs_of_lights(
+    groups: Mapping[str, tuple[Sequence[int], Sequence[tuple[int, int]]]],
+) -> list[tuple[int, int]]:
+    """The same of photos under several lights: numbers and pairs by light, the standard one first.
+
+    Pictures under another light are matched among themselves and with those under the standard one, or with
+    ``MOST_FOR_EXHAUSTIVE`` of them, spread evenly. Of few pictures in all each is matched with each.
+    """
+    everything = [number for numbers, _ in groups.values() for number in numbers]
+    if len(everything) <= MOST_FOR_EXHAUSTIVE:
+        return pairs_in_time(everything)
+    (standard, _), *others = groups.values()
+    spread = standard[:: -(-len(standard) // MOST_FOR_EXHAUSTIVE)]
+    across = [(one, other) for numbers, _ in others for one in spread for other in numbers]
+    return [pair for _, pairs in groups.values() for pair in pairs] + across
+
+
 def _write_pictures(
     photos: Mapping[int, Photo],
     names: Mapping[int, str],
@@ -278,7 +295,8 @@ def run_colmap(
 def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
     """The reconstruction in ``folder`` (``sparse/0``, or the files themselves) of these poses.
 
-    A picture of it belongs to the pose that has a photo of the same file name, or else of the same stem.
+    A picture of it belongs to the pose that has a photo of the same file name, or else of the same stem; of
+    files of one name in several folders, that of the standard light, unless it is named with its folder.
     Raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` (no picture, or too few, belong
     to the photos; another shape of picture; photos of which it is unknown which way up it saw them).
     """
@@ -290,14 +308,7 @@ def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
             f"{folder} has no reconstruction of COLMAP: looked for sparse/0/cameras.bin and .txt",
             "Give the folder that holds sparse/0, or leave --poses out.",
         )
-    numbers: dict[str, int] = {}
-    for number, pose in enumerate(poses):
-        for photo in pose.photos:
-            numbers.setdefault(photo.path.stem, number)
-    for number, pose in enumerate(poses):
-        for photo in pose.photos:
-            numbers[photo.name] = number
-    structure = _read(model, numbers)
+    structure = _read(model, _numbers(poses))
     if len(structure.registered) < FEWEST_POSES:
         raise DataMismatchError(
             f"{model} places {len(structure.registered)} of the {len(poses)} poses; photos are named as "
@@ -307,6 +318,19 @@ def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
     _require_one_way_up([photo for number in structure.registered for photo in poses[number].photos])
     sizes = {number: (pose.photos[0].width, pose.photos[0].height) for number, pose in enumerate(poses)}
     return _at_size(structure, sizes)
+
+
+def _numbers(poses: Sequence[Bracket]) -> dict[str, int]:
+    """The poses by all names that their photos may have in a reconstruction."""
+    stems: dict[str, int] = {}
+    files: dict[str, int] = {}
+    whole: dict[str, int] = {}
+    for number, pose in enumerate(poses):  # those of the standard light come first
+        for photo in pose.photos:
+            stems.setdefault(photo.path.stem, number)
+            files.setdefault(photo.path.name, number)
+            whole[photo.name] = whole[f"{photo.path.parent.name}/{photo.path.name}"] = number
+    return {**stems, **files, **whole}
 
 
 def _require_one_way_up(photos: Sequence[Photo]) -> None:
@@ -344,7 +368,7 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
     for image_id in sorted(model_read.reg_image_ids(), key=lambda k: model_read.image(k).name):
         image = model_read.image(image_id)
         name = Path(image.name)
-        number = numbers.get(name.name, numbers.get(name.stem))
+        number = next((numbers[key] for key in (image.name, name.name, name.stem) if key in numbers), None)
         if number is None or number in registered:
             continue
         matrix = image.cam_from_world().matrix()

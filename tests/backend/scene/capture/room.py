@@ -24,6 +24,8 @@ BOXES = (
     ((-1.3, 0.5, 0.0), (-0.8, 1.2, 0.5)),
 )
 EXPOSURES = (0.125, 0.5, 2.0)
+#: Where a lamp is, metres: in a corner.
+LAMP = (2.2, 1.8, 2.3)
 
 
 def response(exposure: np.ndarray) -> np.ndarray:
@@ -112,8 +114,10 @@ def albedo_at(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
     return upper * (1.0 - u) + lower * u
 
 
-def radiance(position: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """``[n, 3]`` radiance that reaches ``position`` from ``directions`` ``[n, 3]``."""
+def radiance(
+    position: np.ndarray, directions: np.ndarray, lamp: tuple[float, float, float] = LAMP
+) -> np.ndarray:
+    """``[n, 3]`` radiance that reaches ``position`` from ``directions`` ``[n, 3]``, by a lamp."""
     nearest = np.full(len(directions), np.inf)
     face = np.zeros(len(directions), np.int64)
     along = np.ascontiguousarray(directions.T)
@@ -136,14 +140,20 @@ def radiance(position: np.ndarray, directions: np.ndarray) -> np.ndarray:
         across = [axis for axis in range(3) if axis != normal]
         plane = places[here][:, across] - np.array(BOXES[box][0])[across]
         albedo[here] = albedo_at(textures()[one], plane * (TEXELS[box] / TILES[box]))
-    # A lamp in a corner: from bright to dark over five stops.
-    towards = np.array([2.2, 1.8, 2.3]) - places
+    # From bright to dark over five stops.
+    towards = np.array(lamp) - places
     return albedo * 6.0 / (0.15 + (towards**2).sum(axis=1, keepdims=True))
 
 
-def picture(pose: np.ndarray, rays: np.ndarray, width: int, height: int) -> np.ndarray:
+def picture(
+    pose: np.ndarray,
+    rays: np.ndarray,
+    width: int,
+    height: int,
+    lamp: tuple[float, float, float] = LAMP,
+) -> np.ndarray:
     """``[height, width, 3]`` mean radiance over each pixel."""
-    seen = radiance(-pose[:, :3].T @ pose[:, 3], rays @ pose[:, :3])
+    seen = radiance(-pose[:, :3].T @ pose[:, 3], rays @ pose[:, :3], lamp)
     return seen.reshape(height, OVER, width, OVER, 3).mean(axis=(1, 3))
 
 
