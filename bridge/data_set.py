@@ -42,6 +42,8 @@ TRAIN, TEST, LIT, VALIDATION = "train", "test", "lit", "val"
 SPLITS = (TRAIN, TEST, LIT, VALIDATION)
 #: Never trained from.
 HELD_OUT = (TEST, VALIDATION)
+#: Of captures with ``lights.json`` alone: views under other light that are never trained from.
+LIT_TEST = "lit_test"
 
 #: The true radiance under other light, and the renders from which all else was derived: evaluation only.
 RELIT_FOLDER = "relit"

@@ -106,6 +106,11 @@ def read_light_groups(root: Path) -> LightGroups | None:
     content = read_json_object(path, REMEDY)
     if (content.get("format"), content.get("version")) != (FORMAT, VERSION):
         raise BadValueError(f"{path} is not of the format {FORMAT}, version {VERSION}", REMEDY)
+    return groups_of(content, path)
+
+
+def groups_of(content: Mapping[str, Any], path: Path) -> LightGroups:
+    """The groups that ``content`` of the file at ``path`` states; raises ``BadValueError``."""
     lights = check_lights(content.get("lights"), str(path))
     standard = {
         name: _known(value, f"{path}: standard: {name}")

@@ -129,20 +129,21 @@ class PictureFolder(Renderer):
     def remarks(self) -> tuple[str, ...]:
         return ("Pictures that another program made: how it was trained is not known here.",)
 
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
-        view, levels = self._view(camera), as_levels(lighting_level, self.lights)
-        standard = all(level == 1.0 for level in levels)
+    def hdr(self, camera: Camera, lighting_level: Levels | None = None) -> torch.Tensor:
+        view, level = self._view(camera), 1.0 if lighting_level is None else lighting_level
+        levels = as_levels(level, self.lights)
+        standard = lighting_level is None or all(level == 1.0 for level in levels)
         path = self._hdr.get(camera) if standard else self._relit.get((view.index, levels))
         if path is None:
             raise BadValueError(f"{self.folder} has no HDR picture of {view.name} at the levels {levels}")
         with _of_a_picture():
             return truth.radiance_in(path)
 
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels | None = None) -> torch.Tensor:
         return next(iter(self.ldr_bracket(camera, [exposure], lighting_level)))
 
     def ldr_bracket(
-        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels | None = None
     ) -> Iterator[torch.Tensor]:
         """As of any renderer; equal exposures in one bracket are returned in order."""
         view, left = self._view(camera), dict(self._ldr[camera])
@@ -159,7 +160,7 @@ class PictureFolder(Renderer):
         camera: Camera,
         exposures: Sequence[float],
         effects: Sequence[torch.Tensor],
-        lighting_level: Levels = 1.0,
+        lighting_level: Levels | None = None,
     ) -> Iterator[torch.Tensor]:
         """Never called, because this learns nothing about a camera."""
         raise BadValueError(f"{self.folder} only has finished pictures")

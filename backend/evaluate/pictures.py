@@ -74,21 +74,21 @@ def pairs(
     """
     places = range(len(view.exposures)) if positions is None else positions
     cameras = [k for k in places if not view.encodings[k].is_known]
-    level = view.lighting_level
+    at = () if view.is_standard else (view.known_levels,)
     exposures = [view.exposures[k] for k in cameras]
     if effect is not None and exposures:
         effects = [effect] * len(exposures)
-        developed = iter(renderer.photographed(view.camera, exposures, effects, level))
+        developed = iter(renderer.photographed(view.camera, exposures, effects, *at))
     elif len(exposures) == 1:
-        developed = iter([renderer.ldr(view.camera, exposures[0], level)])
+        developed = iter([renderer.ldr(view.camera, exposures[0], *at)])
     else:
-        developed = iter(renderer.ldr_bracket(view.camera, exposures, level) if exposures else ())
+        developed = iter(renderer.ldr_bracket(view.camera, exposures, *at) if exposures else ())
     radiance: torch.Tensor | None = None
     for k in places:
         encoding, where = view.encodings[k], f"{view.name} at {view.exposures[k]:g} s"
         if encoding.is_known:
             if radiance is None:
-                radiance = finite(renderer.hdr(view.camera, level), where).double()
+                radiance = finite(renderer.hdr(view.camera, *at), where).double()
             exposed = radiance * view.exposures[k]
             picture = encoding.developed(exposed if effect is None else exposed * effect)
         else:

@@ -29,7 +29,7 @@ from .metrics import PSNR_CAP, averaged_to, display, hdr_normaliser, hdr_shown, 
 from .photos import Falloff, falloff_there, fitted_photos, no_falloff
 from .pictures import Pair, all_of_eight_bits, compared_everywhere, finite, notes_on, pairs, radiance_pair
 from .published import data_set_of
-from .renderer import Renderer
+from .renderer import Renderer, standard_of
 from .response import check_response, learned_response, true_response
 from .results import (
     NOVEL,
@@ -123,7 +123,8 @@ def evaluate(
             view = scene.find(TEST, item.index)  # its error lists the poses
             if item.index not in standard:
                 continue  # entirely masked
-            if row := _relit_row(renderer, standard[item.index], item, scale or 1.0):
+            levels = item.levels_of(renderer.lights, standard_of(renderer, scene))
+            if row := _relit_row(renderer, standard[item.index], item, levels, scale or 1.0):
                 relit_rows.append(row)
             else:
                 messages.append(f"Relit {item.condition} of {view.name} left out: its truth is black.")
@@ -327,16 +328,20 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, publis
 
 
 def _relit_row(
-    renderer: Renderer, standard: _StandardView, item: truth.RelitTruth, scale: float
+    renderer: Renderer,
+    standard: _StandardView,
+    item: truth.RelitTruth,
+    levels: tuple[float, ...],
+    scale: float,
 ) -> RelitRow | None:
     """None if the truth is black, as with every light off: there is nothing to normalise by.
 
-    ``scale``: the renderer's radiance over the truth's.
+    ``levels``: of the renderer's lights; ``scale``: the renderer's radiance over the truth's.
     """
     view, mask, relit = standard.view, standard.mask, item.radiance()
     if not relit.max() > 0.0:
         return None
-    ours = renderer.hdr(view.camera, item.levels_of(renderer.lights))
+    ours = renderer.hdr(view.camera, levels)
     ours = finite(ours, f"{view.name} at {item.condition}") / scale
     height, width = ours.shape[1:]
     truth_standard = averaged_to(standard.truth, height, width)

@@ -8,6 +8,7 @@ import torch
 
 from ...bridge.lights import Levels
 from ..scene.camera import Camera
+from ..scene.scene import Scene
 
 
 class Renderer(Protocol):
@@ -33,16 +34,19 @@ class Renderer(Protocol):
         """Whether ``response_curve`` was learned: given ones are not checked."""
         return True
 
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """``[3, H, W]`` scene-linear radiance at ``lighting_level``: the first light's, or one per light."""
+    def hdr(self, camera: Camera, lighting_level: Levels | None = None) -> torch.Tensor:
+        """``[3, H, W]`` scene-linear radiance at ``lighting_level``: the first light's, or one per light.
+
+        None: under the standard light.
+        """
         ...
 
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels | None = None) -> torch.Tensor:
         """``[3, H, W]`` in 0…1: the camera's picture at ``exposure`` seconds."""
         ...
 
     def ldr_bracket(
-        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels | None = None
     ) -> Iterable[torch.Tensor]:
         """``ldr`` at each exposure: all at once if that is cheaper, else one by one."""
         return (self.ldr(camera, exposure, lighting_level) for exposure in exposures)
@@ -52,7 +56,7 @@ class Renderer(Protocol):
         camera: Camera,
         exposures: Sequence[float],
         effects: Sequence[torch.Tensor],
-        lighting_level: Levels = 1.0,
+        lighting_level: Levels | None = None,
     ) -> Iterable[torch.Tensor]:
         """``ldr_bracket`` with the light first multiplied by an effect each, ``[1 or 3, H, W]``.
 
@@ -63,3 +67,8 @@ class Renderer(Protocol):
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
         """ln(exposure × radiance) ``[M]`` and LDR ``[M, 3]``; None without a single global curve."""
         return None
+
+
+def standard_of(renderer: Renderer, scene: Scene) -> tuple[float, ...]:
+    """Levels of the renderer's lights in the scene's standard views; () where it has others: all at 1."""
+    return scene.standard_levels if renderer.lights == scene.lights else ()

@@ -19,7 +19,7 @@ from .metrics import MU, averaged_to, display, quantise
 from .photos import Falloff
 from .pictures import Pair, compared_everywhere, pairs, radiance_pair
 from .published import data_set_of
-from .renderer import Renderer
+from .renderer import Renderer, standard_of
 from .residuals import RESIDUAL_GAIN, legend, residual
 from .results import OBSERVED_EXPOSURES, VIEWS_OF, part_of
 
@@ -164,14 +164,15 @@ def comparison_sheet(
             rows.append(_row(label, name, _ldr(renderer, view, k, falloff), gain))
         if hdr and truth.has_hdr_truth(scene.root, split):
             reference = truth.hdr_truth(scene.root, split, pose)
-            shown = _hdr(renderer, view, 1.0, reference, published=published)
+            shown = _hdr(renderer, view, None, reference, published=published)
             rows.append(_row(f"{view.name} HDR", name, shown, gain))
             if _is_off(scale):
-                shown = _hdr(renderer, view, 1.0, reference, scale, published=published)
+                shown = _hdr(renderer, view, None, reference, scale, published=published)
                 rows.append(_row(f"{view.name} HDR, scale aligned", f"{name} / {scale:.3g}", shown, gain))
         for item in relit:
             if hdr and item.index == pose and can_show(item) and (lit := item.radiance()).max() > 0.0:
-                shown = _hdr(renderer, view, item.levels_of(renderer.lights), lit)
+                levels = item.levels_of(renderer.lights, standard_of(renderer, scene))
+                shown = _hdr(renderer, view, levels, lit)
                 rows.append(_row(f"{view.name} {item.condition}", name, shown, gain))
     return labelled_grid(
         [*rows, [legend(SMALLEST_CELL, gain)]], f"{_title(scene, split)}: truth, {name}, residual", _note()
@@ -211,7 +212,7 @@ def method_sheet(
             reference = truth.hdr_truth(scene.root, split, pose)
             radiant = {name: each for name, each in renderers.items() if name not in without_hdr}
             shown = {
-                name: _hdr(renderer, view, 1.0, reference, published=published)
+                name: _hdr(renderer, view, None, reference, published=published)
                 for name, renderer in radiant.items()
             }
             rows += _method_rows(f"{view.name}, HDR", shown, gain)
@@ -275,14 +276,15 @@ def _is_off(scale: float | None) -> TypeGuard[float]:
 def _hdr(
     renderer: Renderer,
     view: View,
-    level: Levels,
+    level: Levels | None,
     reference: torch.Tensor,
     divided_by: float = 1.0,
     *,
     published: bool = False,
 ) -> Shown:
     """Numbers as in the protocol; the pictures are brighter, see ``WHITE_QUANTILE``."""
-    radiance = renderer.hdr(view.camera, level).detach().cpu() / divided_by
+    at = () if level is None else (level,)
+    radiance = renderer.hdr(view.camera, *at).detach().cpu() / divided_by
     mask = compared_everywhere(view)
     metrics = radiance_pair(radiance, reference, mask, published=published).metrics()
     white = display_white(reference)

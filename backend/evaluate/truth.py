@@ -93,9 +93,16 @@ class RelitTruth:
         """Whether a model with levels for ``lights`` has one for every changed light."""
         return all(name in lights for name in self.changed)
 
-    def levels_of(self, lights: Sequence[str]) -> tuple[float, ...]:
-        """A level for each of ``lights``; raises ``BadValueError`` if a changed one is missing."""
-        return named_levels(self.changed, lights, self.condition)
+    def levels_of(self, lights: Sequence[str], standard: Sequence[float] = ()) -> tuple[float, ...]:
+        """A level for each of ``lights``; raises ``BadValueError`` if a changed one is missing.
+
+        ``standard``: of those that it does not name; empty: 1.
+        """
+        named = named_levels(self.changed, lights, self.condition)
+        if not standard:
+            return named
+        each = zip(lights, named, standard, strict=True)
+        return tuple(level if light in self.levels else usual for light, level, usual in each)
 
     def radiance(self) -> torch.Tensor:
         """``[3, H, W]`` float32 Linear Rec.709; raises what ``exr_rec709`` raises."""

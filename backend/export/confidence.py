@@ -209,7 +209,7 @@ def confidence_of(
     for done, each in enumerate(seen, start=1):
         camera = each.view.camera
         splats = method.backbone.splats(camera, method.active_sh_degree)
-        levels = tuple(each.view.lighting_levels[: len(method.lights)])
+        levels = method.standard_levels if each.view.is_standard else each.view.known_levels
         radiance = _drawn(splats, method.seen_radiance(splats, levels), camera).image
         error, compared = expected_error(each, radiance.numpy(), tables)
         ones = compared.astype(np.float32)

@@ -92,6 +92,7 @@ class MethodSetup:
     of the rasteriser. ``lights``: names of those whose levels vary. ``responses``: of the training pictures'
     encodings. Learned: all are a camera's; known: none is; mixed: some are. ``log_radiance_range``: bounds of
     the ln radiance of what is drawn, wide enough for all that the training pictures show.
+    ``standard_levels``: of the lights in the standard pictures; empty: 1.
     """
 
     anchor: tuple[float, float] | None = None
@@ -99,6 +100,7 @@ class MethodSetup:
     lights: tuple[str, ...] = (AMBIENT,)
     responses: Responses = "learned"
     log_radiance_range: tuple[float, float] = LOG_RADIANCE_RANGE
+    standard_levels: tuple[float, ...] = ()
 
     def refuse_known(self, method: str) -> None:
         """Raises ``BadValueError`` where ``method`` would take pictures for a camera's that are none."""
@@ -205,7 +207,8 @@ class Method(nn.Module, ABC):
     """A system of the benchmark: a backbone of splats and a global response curve (and perhaps more).
 
     Subclasses say what colour the splats have (``radiance_of``) and how a picture comes of it (``ldr_at``).
-    Whoever uses one gives lighting levels as ``Levels``; here they become one number a light, once.
+    Whoever uses one gives lighting levels as ``Levels``, or none for the standard light; here they become one
+    number a light, once.
     """
 
     backbone: Backbone
@@ -218,6 +221,7 @@ class Method(nn.Module, ABC):
     def __init__(self, config: MethodConfig, backbone: Backbone, setup: MethodSetup) -> None:
         super().__init__()
         self.lights = check_lights(setup.lights, "the method")
+        self.standard_levels = setup.standard_levels or tuple(1.0 for _ in self.lights)
         self.attributes = config.attributes(self.lights)
         self.backbone = backbone
         #: The backbone's share of what a checkpoint holds.
@@ -341,22 +345,26 @@ class Method(nn.Module, ABC):
 
     # -- use -------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """Scene-linear radiance ``[3, H, W]``."""
-        return self.hdr_at(camera, as_levels(lighting_level, self.lights))
+    def levels_of(self, level: Levels | None) -> tuple[float, ...]:
+        """One for each of ``lights``; None: those of the standard pictures. Raises as ``as_levels``."""
+        return self.standard_levels if level is None else as_levels(level, self.lights)
 
     @torch.no_grad()
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+    def hdr(self, camera: Camera, lighting_level: Levels | None = None) -> torch.Tensor:
+        """Scene-linear radiance ``[3, H, W]``."""
+        return self.hdr_at(camera, self.levels_of(lighting_level))
+
+    @torch.no_grad()
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels | None = None) -> torch.Tensor:
         """The picture ``[3, H, W]`` in [0, 1] that a camera with ``exposure`` seconds would record."""
-        return self.ldr_at(camera, exposure, as_levels(lighting_level, self.lights))
+        return self.ldr_at(camera, exposure, self.levels_of(lighting_level))
 
     @torch.no_grad()
     def ldr_bracket(
-        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels | None = None
     ) -> list[torch.Tensor]:
         """``ldr`` at several exposures, which costs less than each alone where the method knows how."""
-        return self.bracket_at(camera, exposures, as_levels(lighting_level, self.lights))
+        return self.bracket_at(camera, exposures, self.levels_of(lighting_level))
 
     @torch.no_grad()
     def photographed(
@@ -364,11 +372,11 @@ class Method(nn.Module, ABC):
         camera: Camera,
         exposures: Sequence[float],
         effects: Sequence[torch.Tensor],
-        lighting_level: Levels = 1.0,
+        lighting_level: Levels | None = None,
     ) -> list[torch.Tensor]:
         """``ldr_bracket``, where an effect ``[1 or 3, H, W]`` is on each exposed radiance before."""
         taken = [Exposed(exposure=t, effect=e) for t, e in zip(exposures, effects, strict=True)]
-        return self.photographed_at(camera, taken, as_levels(lighting_level, self.lights))
+        return self.photographed_at(camera, taken, self.levels_of(lighting_level))
 
     def photographed_at(
         self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
@@ -454,21 +462,21 @@ class Method(nn.Module, ABC):
         return *kept.drawn(camera, self.implementation), len(splats.means) - len(kept.means)
 
     @torch.no_grad()
-    def preview(self, camera: Camera, lighting_level: Levels = 1.0) -> Rasterization:
+    def preview(self, camera: Camera, lighting_level: Levels | None = None) -> Rasterization:
         """The radiance of ``hdr`` with alpha and depth (metres along the camera's axis), in one pass."""
-        levels = as_levels(lighting_level, self.lights)
+        levels = self.levels_of(lighting_level)
         splats = self.backbone.splats(camera, self.active_sh_degree)
         return self.rasterize(splats, self.seen_radiance(splats, levels), camera, with_depth=True)
 
     @torch.no_grad()
     def preview_ldr(
-        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
+        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """The picture of ``ldr``, from what ``preview`` drew where that suffices, and the camera's black.
 
         ``[3, H, W]``, and ``[3, 1, 1]``: what the tone mapper makes of a pixel where nothing is.
         """
-        return self.preview_ldr_at(drawn, camera, exposure, as_levels(lighting_level, self.lights))
+        return self.preview_ldr_at(drawn, camera, exposure, self.levels_of(lighting_level))
 
     @abstractmethod
     def preview_ldr_at(
@@ -495,7 +503,7 @@ def exposed_by(radiance: torch.Tensor, taken: Exposed) -> torch.Tensor:
 
 
 def is_standard(levels: Sequence[float]) -> bool:
-    """Whether every light is as it was captured."""
+    """Whether every light is at 1, where shares change nothing."""
     return all(level == 1.0 for level in levels)
 
 

@@ -38,7 +38,7 @@ def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) ->
         (pair,) = pairs(method, view, [k], rounded=False)
         measured = {"PSNR": pair.psnr()}
         if truth is not None:
-            drawn = method.hdr(view.camera, view.lighting_level).cpu()
+            drawn = method.hdr(view.camera).cpu()
             measured["HDR scale"] = scale_ratio(drawn, truth, compared_everywhere(view))
         return {name: value for name, value in measured.items() if math.isfinite(value)}
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...bridge.atomic import atomic_path
-from ...bridge.data_set import HELD_OUT, LIT, TEST, TRAIN, VALIDATION
+from ...bridge.data_set import HELD_OUT, LIT, LIT_TEST, TEST, TRAIN, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import check_lights
 from ...bridge.limits import EXPOSURE, LEVEL, is_number
@@ -32,6 +32,9 @@ from ..scene.scene import PictureCache
 from ..scene.source import PictureSource, plain
 from ..train.checkpoint import VIEWS, read_metadata
 from .contents import Contents, contents_of, first_difference
+
+#: What no run trains from.
+NOT_TRAINED = (*HELD_OUT, LIT_TEST)
 
 RESTORE = "Restore a copy of it, or train again with --overwrite."
 
@@ -52,6 +55,7 @@ def write_views(folder: Path, scene: Scene) -> str:
         "layout": scene.layout,
         "anchor": scene.response_anchor,
         "lights": scene.lights,
+        "standard_levels": scene.standard_levels,
         "photographs": scene.photographs,
         "splits": splits,
     }
@@ -102,8 +106,10 @@ def _scene_of(content: Mapping[str, Any], path: Path, root: Path) -> Scene:
     splits: dict[str, list[View]] = {}
     try:
         lights = check_lights(content["lights"], str(path))
+        standard = tuple(_level(level) for level in content["standard_levels"])
+        _require(len(standard) == len(lights))
         for name, views in content["splits"].items():
-            splits[name] = [_view(view, root, len(lights), cache) for view in views]
+            splits[name] = [_view(view, root, standard, cache) for view in views]
         anchor = content["anchor"]
         if anchor is not None:
             exposure, code = anchor
@@ -124,6 +130,7 @@ def _scene_of(content: Mapping[str, Any], path: Path, root: Path) -> Scene:
             messages=("the data set is missing: using the cameras stored in the run",),
             validation=splits.get("val", []),
             known_photographs=content["photographs"],
+            lit_test=splits.get(LIT_TEST, []),
         )
     except (KeyError, TypeError, ValueError, AttributeError, BadValueError, DataMismatchError) as error:
         raise FileDamagedError(f"{path} does not hold a data set's views: {error!s:.80}", RESTORE) from error
@@ -153,6 +160,8 @@ def as_trained(
     """
     content = _stored(folder)
     stored = _scene_of(content, folder / VIEWS_FILE, scene.root)
+    if stored.lights == scene.lights and stored.standard_levels != scene.standard_levels:
+        raise _other_data(folder, scene.root, "the levels of the standard light have changed")
     _require_same_anchor(stored.response_anchor, scene.response_anchor, folder, scene.root)
     scene = _at_scale(scene, _stored_scale(content), report)
     if not (_are_same(stored.train, scene.train) and _are_same(stored.lit, scene.lit)):
@@ -169,7 +178,7 @@ def _divided(scene: Scene, stored: Scene, folder: Path, report: Callable[[str], 
         _require_unchanged(before, by_name.get(before.name, []), folder, scene.root)
     known = {view.name for view in (*stored.train, *stored.lit)}
     splits = {name: _unchanged(views, by_name) for name, views in stored.splits.items()}
-    for name in HELD_OUT:
+    for name in NOT_TRAINED:
         if not stored.splits[name]:  # there were none yet, or they were hidden from a tuning plan
             splits[name] = [view for view in scene.splits[name] if view.name not in known]
     known.update(view.name for views in splits.values() for view in views)
@@ -190,7 +199,7 @@ def _with_known_pictures(
     for name in (TRAIN, LIT):
         if difference := first_difference(scene.splits[name], _contents(content, name)):
             raise _other_data(folder, scene.root, difference)
-    for name in HELD_OUT:
+    for name in NOT_TRAINED:
         before = {
             view.name: each for view, each in zip(stored.splits[name], _contents(content, name), strict=True)
         }
@@ -252,6 +261,7 @@ def _with_splits(scene: Scene, splits: Mapping[str, list[View]], message: str) -
         test=splits[TEST],
         lit=splits[LIT],
         validation=splits[VALIDATION],
+        lit_test=splits[LIT_TEST],
         messages=(*scene.messages, message),
     )
 
@@ -314,6 +324,8 @@ def _difference(before: View, now: View) -> str:
     # A further light at the standard level does not change views.
     if not (before.is_standard and now.is_standard) and before.lighting_levels != now.lighting_levels:
         return "the light has changed"
+    if before.group != now.group:
+        return "its group of light has changed"
     return ""
 
 
@@ -325,6 +337,7 @@ def _described(view: View, contents: list[Contents], root: Path) -> dict[str, An
         "exposures": view.exposures,
         "bracket": view.bracket,
         "levels": view.lighting_levels,
+        "group": view.group,
         "pictures": [_name(path, root) for path in view.image_paths],
         "contents": contents,
         "pose": camera.camera_to_world.reshape(-1).tolist(),
@@ -342,12 +355,12 @@ def _name(path: Path, root: Path) -> str:
     return ""
 
 
-def _view(stored: dict[str, Any], root: Path, lights: int, cache: PictureCache) -> View:
+def _view(stored: dict[str, Any], root: Path, standard: tuple[float, ...], cache: PictureCache) -> View:
     """Raises ``KeyError``, ``TypeError``, ``ValueError`` and ``BadValueError`` for an invalid view."""
     exposures = tuple(_number(seconds) for seconds in stored["exposures"])
-    levels = tuple(_number(level) for level in stored["levels"])
+    levels = tuple(None if level is None else _level(level) for level in stored["levels"])
     _require(all(seconds in EXPOSURE for seconds in exposures))
-    _require(len(levels) == lights and all(level == 0.0 or level in LEVEL for level in levels))
+    _require(len(levels) == len(standard))
     pose = np.array([_number(value) for value in stored["pose"]], np.float64).reshape(4, 4)
     width, height = (_whole(side) for side in stored["size"])
     _require(width > 0 and height > 0)
@@ -364,12 +377,20 @@ def _view(stored: dict[str, Any], root: Path, lights: int, cache: PictureCache) 
         lighting_levels=levels,
         cache=cache,
         bracket=tuple(_whole(place) for place in stored["bracket"]),
+        standard_levels=standard,
+        group=str(stored["group"]),
     )
 
 
 def _number(value: Any) -> float:
     _require(is_number(value))
     return float(value)
+
+
+def _level(value: Any) -> float:
+    level = _number(value)
+    _require(level == 0.0 or level in LEVEL)
+    return level
 
 
 def _whole(value: Any) -> int:

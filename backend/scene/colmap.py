@@ -33,6 +33,7 @@ from .colmap_brackets import (
 from .colmap_model import SparseModel, other_model_messages, read_model
 from .exposures import MOST_UNKNOWN, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
+from .lighting import NO_OTHER_LIGHT, Lighting, by_light
 from .poses import (
     PictureFile,
     Pose,
@@ -68,10 +69,12 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     pictures = folder_there(root / PICTURES)
     assert pictures is not None, "the layout has one"
     found = read_poses(root, pictures, MOST_UNKNOWN)
-    train, test, rule = split_somehow(found.poses)
+    lighting = by_light(root, [pictures], found.poses)
+    train, test, rule = split_somehow(lighting.standard)
     check_numbers(train, "training", pictures)
     check_numbers(test, "test", pictures)
-    return scene_of(found, (train, test, rule), layout=COLMAP.name, anchor=None, downscale=downscale)
+    split = train, test, rule
+    return scene_of(found, split, lighting, layout=COLMAP.name, anchor=None, downscale=downscale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +93,16 @@ class FoundPoses:
 def scene_of(
     found: FoundPoses,
     split: tuple[Sequence[Pose], Sequence[Pose], str],
+    lighting: Lighting = NO_OTHER_LIGHT,
     *,
     layout: str,
     anchor: tuple[float, float] | None,
     downscale: float | None,
 ) -> Scene:
-    """A scene of poses; ``split``: training and test poses and the rule. ``anchor``: where none is stated."""
+    """A scene of poses; ``split``: training and test poses of the standard light and the rule.
+
+    ``anchor``: where none is stated.
+    """
     train, test, rule = split
     factor = capped(widest(found.poses)) if downscale is None else downscale
     views = Views(found.root, found.poses, Reduction(factor, "bicubic"))
@@ -105,12 +112,14 @@ def scene_of(
         name=scene_name(found.root, info),
         train=views.of(train),
         test=views.of(test),
-        lit=[],
+        lit=views.of(lighting.train),
         points=found.points,
         response_anchor=read_anchor(found.root, info, otherwise=anchor),
         info=info,
+        lights=lighting.lights,
         layout=layout,
-        messages=(rule, *views.messages, *found.messages),
+        messages=(rule, *lighting.messages, *views.messages, *found.messages),
+        lit_test=views.of(lighting.test),
     )
 
 

@@ -18,6 +18,7 @@ from ...bridge.layouts.truth_folders import GAUSSHDR, holds_truth
 from .colmap_model import SparseImage, read_model
 from .exposures import read_exposure_file
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
+from .lighting import by_light
 from .poses import (
     PictureFile,
     Pose,
@@ -69,7 +70,8 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         pose = Pose(name, index, model.camera(image), bracket, lens=model.lens(image))
         poses.append(at_size_of_pictures(pose, sizes, folder))
     poses = numbered(root, poses)
-    split = split_by_name(poses)
+    lighting = by_light(root, [root / PICTURES], poses)
+    split = split_by_name(lighting.standard)
     if split is None:
         raise DataMismatchError(
             f"{folder}: the names of the pictures do not all say 'train' or 'test', or none is for training",
@@ -88,6 +90,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     is_synthetic = holds_truth(root, GAUSSHDR)  # it says that the camera is HDR-NeRF-Syn's
     messages = [
         "split by names: they say 'train' or 'test'",
+        *lighting.messages,
         *views.messages,
         f"exposures from {EXPOSURE_FILE}",
         missing_message(poses),
@@ -99,12 +102,14 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         name=scene_name(root, info),
         train=train,
         test=test,
-        lit=[],
+        lit=views.of(lighting.train),
         points=model.points,
         response_anchor=read_anchor(root, info, otherwise=ORIGINAL_ANCHOR if is_synthetic else None),
         info=info,
+        lights=lighting.lights,
         layout=LAYOUT.name,
         messages=tuple(message for message in messages if message),
+        lit_test=views.of(lighting.test),
     )
 
 

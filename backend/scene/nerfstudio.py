@@ -20,7 +20,7 @@ from ...bridge.data_set import plain_name, scene_name
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.layouts import NERFSTUDIO
 from ...bridge.layouts.checks import exposure, read_json
-from ...bridge.layouts.picture_files import bracket_name
+from ...bridge.layouts.picture_files import PICTURES, bracket_name
 from ...bridge.layouts.transforms import (
     SPLIT_LISTS,
     TRANSFORMS_FILE,
@@ -31,11 +31,13 @@ from ...bridge.layouts.transforms import (
     stated_camera,
     stated_lens,
 )
+from ...bridge.light_groups import LightGroups, groups_of
 from ...bridge.regular import regular_file
 from .camera import Camera
 from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
 from .lens import RealCamera
+from .lighting import Lighting, by_light
 from .points import read_points
 from .poses import (
     PictureFile,
@@ -95,7 +97,10 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
         poses.append(at_size_of_pictures(pose, sizes, path))
     if all("exposure_time" in frame for _, frame in frames.values()):
         poses = _bracketed(poses)
-    train, validation, test, rule = _split(root, path, content, numbered(root, poses))
+    folders = [root, root / PICTURES]
+    lighting = by_light(root, folders, numbered(root, poses), _stated_light(root, path, content, listed))
+    train, validation, test, rule = _split(root, path, content, lighting.standard)
+    lit, lit_test = _split_lit(lighting, _lists(root, path, content))
     check_numbers(train, "training", path)
     check_numbers(validation, "validation", path)
     check_numbers(test, "test", path)
@@ -109,14 +114,66 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
         name=scene_name(root, info),
         train=views.of(train),
         test=views.of(test),
-        lit=[],
+        lit=views.of(lit),
         points=_points(root, path, content),
         response_anchor=read_anchor(root, info, otherwise=None),
         info=info,
+        lights=lighting.lights,
         layout=NERFSTUDIO.name,
-        messages=(rule, *skipped, *small, *views.messages, exposure_message, *mask_messages(poses)),
+        messages=(
+            rule,
+            *lighting.messages,
+            *skipped,
+            *small,
+            *views.messages,
+            exposure_message,
+            *mask_messages(poses),
+        ),
         validation=views.of(validation),
+        lit_test=views.of(lit_test),
     )
+
+
+def _stated_light(
+    root: Path, path: Path, content: dict[str, Any], frames: Sequence[tuple[Path, dict[str, Any]]]
+) -> LightGroups | None:
+    """The frames by their ``lighting_levels``, as ``lights.json`` would say it; None where none has any.
+
+    Those that stand once are of all frames that have none: the standard light.
+    """
+    if not any("lighting_levels" in frame for _, frame in frames):
+        return None
+    standard = content.get("lighting_levels", {})
+    groups: dict[str, dict[str, Any]] = {}
+    for file, frame in frames:
+        levels = frame.get("lighting_levels", standard)
+        if not isinstance(levels, dict):
+            raise BadValueError(
+                f"{path}: frame '{file.name:.80}': 'lighting_levels' is {levels!r:.80}, not an object",
+                'Write it as {"pendant": 0} and so on.',
+            )
+        if levels == standard:
+            continue
+        name = " + ".join(f"{light} {level}" for light, level in levels.items()) or "as usual"
+        group = groups.setdefault(name, {"name": name, "levels": levels, "pictures": []})
+        group["pictures"].append(file.relative_to(root).as_posix())
+    if not groups:
+        return None
+    named = dict.fromkeys(light for group in groups.values() for light in group["levels"])
+    lights = content.get("lights", list(named))
+    return groups_of({"lights": lights, "standard": standard, "groups": list(groups.values())}, path)
+
+
+def _split_lit(lighting: Lighting, lists: dict[str, set[Path]]) -> tuple[list[Pose], list[Pose]]:
+    """Training and test poses under other light: by the lists where there are any."""
+    if not any(lists.values()):
+        return lighting.train, lighting.test
+    every = [*lighting.train, *lighting.test]
+    held_out = set().union(*(names for key, names in lists.items() if key != "train_filenames"))
+    test = [pose for pose in every if _is_in(pose, held_out)]
+    rest = [pose for pose in every if not _is_in(pose, held_out)]
+    listed = lists.get("train_filenames")
+    return [pose for pose in rest if listed is None or _is_in(pose, listed)], test
 
 
 def _published_factor(longest: int) -> float:

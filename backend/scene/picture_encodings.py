@@ -89,6 +89,7 @@ def with_encodings(scene: Scene, color_space: str | None = None) -> Scene:
         test=made(scene.test),
         lit=made(scene.lit),
         validation=made(scene.validation),
+        lit_test=made(scene.lit_test),
         messages=(*scene.messages, *messages),
     )
 

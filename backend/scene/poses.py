@@ -44,15 +44,17 @@ class Pose:
     """A camera at full size and its pictures, by their place in the bracket, rising.
 
     ``lens``: of a camera that bends straight lines, at the size of its pictures; ``camera`` then has its pose
-    and its size. None: a pinhole.
+    and its size. None: a pinhole. The light is as in ``View``.
     """
 
     name: str
     index: int
     camera: Camera
     pictures: dict[int, PictureFile]
-    lighting_levels: tuple[float, ...] = (1.0,)
+    lighting_levels: tuple[float | None, ...] = (1.0,)
     lens: RealCamera | None = None
+    standard_levels: tuple[float, ...] = ()
+    group: str = ""
 
 
 class Views:
@@ -118,6 +120,8 @@ class Views:
             pose.lighting_levels,
             self._cache,
             tuple(pose.pictures),
+            pose.standard_levels,
+            pose.group,
         )
 
     def _lens_messages(self) -> tuple[str, ...]:

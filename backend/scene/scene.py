@@ -86,7 +86,9 @@ class View:
 
     ``name``: as the data set names it (``train/r_3``). ``index``: the pose's number (3), which also names
     its true radiance (``hdr_003.exr``). ``exposures``: seconds, one for each of ``sources``.
-    ``lighting_levels``: each of the scene's lights relative to the standard views, all 1 for those.
+    ``lighting_levels``: of each of the scene's lights; None: nobody measured it, training finds it.
+    ``standard_levels``: those of the views of no group; empty: all are 1, as where no light is on in a group
+    alone. ``group``: the views under one light that it belongs to; empty where no file names any.
     ``bracket``: the place of each exposure in the data set's bracket, rising (0, 2, 4 where 1 and 3 were not
     taken); by default 0, 1, 2 … The paper's LDR-OE and LDR-NE are sets of these numbers. Everything else here
     counts by position: ``exposures[i]`` seconds belong to ``image(i)`` and to ``bracket[i]``.
@@ -97,11 +99,15 @@ class View:
     exposures: tuple[float, ...]
     sources: tuple[PictureSource, ...]
     index: int
-    lighting_levels: tuple[float, ...] = (1.0,)
+    lighting_levels: tuple[float | None, ...] = (1.0,)
     cache: PictureCache = field(default_factory=PictureCache, repr=False)
     bracket: tuple[int, ...] = ()
+    standard_levels: tuple[float, ...] = ()
+    group: str = ""
 
     def __post_init__(self) -> None:
+        if not self.standard_levels:
+            object.__setattr__(self, "standard_levels", tuple(1.0 for _ in self.lighting_levels))
         if not self.bracket:
             object.__setattr__(self, "bracket", tuple(range(len(self.exposures))))
         if len(self.exposures) != len(self.sources) or not self.exposures:
@@ -120,14 +126,19 @@ class View:
         return self.bracket.index(k) if k in self.bracket else None
 
     @property
-    def lighting_level(self) -> float:
-        """The level of the first light, which is the ambient one wherever that varies."""
-        return self.lighting_levels[0]
-
-    @property
     def is_standard(self) -> bool:
         """Whether every light is as in the standard views."""
-        return all(level == 1.0 for level in self.lighting_levels)
+        return self.lighting_levels == self.standard_levels
+
+    @property
+    def known_levels(self) -> tuple[float, ...]:
+        """``lighting_levels``; raises ``BadValueError`` where one is not known yet."""
+        known = tuple(level for level in self.lighting_levels if level is not None)
+        if len(known) != len(self.lighting_levels):
+            raise BadValueError(
+                f"the light of view '{self.name}' is unknown", "Train with the method 'physhdr' to find it."
+            )
+        return known
 
     @property
     def image_paths(self) -> tuple[Path, ...]:
@@ -207,7 +218,8 @@ class Points:
 class Scene:
     """A data set that is ready for training: nothing in it leads to the true radiance.
 
-    ``lit``: extra training views under other light. ``lights``: names of the lights whose levels differ
+    ``lit``: extra training views under other light; ``lit_test``: such views that are never trained from, of
+    captures. ``lights``: names of the lights whose levels differ
     there, in the order of every view's ``lighting_levels``. ``response_anchor``: one known point of the
     camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
     ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
@@ -231,15 +243,23 @@ class Scene:
     validation: list[View] = field(default_factory=list)
     of_renders: bool = False
     known_photographs: bool | None = None
+    lit_test: list[View] = field(default_factory=list)
+
+    @property
+    def standard_levels(self) -> tuple[float, ...]:
+        """Of each of ``lights`` in the views of no group: 1, or 0 if it is on in its own group alone."""
+        views = (*self.train, *self.test, *self.validation)
+        return views[0].standard_levels if views else tuple(1.0 for _ in self.lights)
 
     @property
     def splits(self) -> dict[str, list[View]]:
-        """The views by the name of their split: train, test, lit, val."""
+        """The views by the name of their split: train, test, lit, val, lit_test."""
         return {
             data_set.TRAIN: self.train,
             data_set.TEST: self.test,
             data_set.LIT: self.lit,
             data_set.VALIDATION: self.validation,
+            data_set.LIT_TEST: self.lit_test,
         }
 
     @cached_property

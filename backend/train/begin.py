@@ -105,7 +105,14 @@ def _empty(
     kinds = tuple(kind for kind in PARTS if kind.is_wanted(plan))
     device, seen = torch.device(device), plan.seen
     data = Data(plan, device)
-    setup = MethodSetup(seen.scene.response_anchor, implementation, seen.lights, seen.responses, seen.range)
+    setup = MethodSetup(
+        seen.scene.response_anchor,
+        implementation,
+        seen.lights,
+        seen.responses,
+        seen.range,
+        seen.standard_levels,
+    )
     torch.manual_seed(plan.config.seed)  # initial values of the networks
     method = new_method(plan.config.method, plan.backbone, setup)
     return State(plan, data, method, device, configuration), kinds

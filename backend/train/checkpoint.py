@@ -20,7 +20,7 @@ from safetensors.torch import save_file
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
-from ...bridge.lights import check_lights
+from ...bridge.lights import as_levels, check_lights
 from ...bridge.limits import LOG_RADIANCE_MAX
 from ...bridge.regular import LONGEST_HEADER, parse_json
 from ...bridge.run_folder import CHECKPOINT_FILE
@@ -38,6 +38,8 @@ LIGHTS, RANGE = "lights", "log_radiance_range"
 RESPONSES = "responses"
 #: SHA-256 of everything else that the file holds.
 DIGEST = "digest"
+#: Levels of the lights in the standard pictures, JSON; missing where all are 1.
+STANDARD = "standard_levels"
 METADATA = ("iteration", "seconds", "cpu_seconds", CONFIGURATION, VIEWS, LIGHTS, RANGE, RESPONSES)
 
 
@@ -246,6 +248,12 @@ def _words(tensor: torch.Tensor) -> str:
 def lights_of(metadata: Mapping[str, str], path: Path) -> tuple[str, ...]:
     """The lights of a checkpoint's model, from its metadata; raises ``BadValueError``."""
     return check_lights(_json(metadata, LIGHTS, path), str(path))
+
+
+def standard_levels_of(metadata: Mapping[str, str], path: Path) -> tuple[float, ...]:
+    """The levels of a checkpoint's lights in the standard pictures; raises ``BadValueError``."""
+    lights = lights_of(metadata, path)
+    return as_levels(_json(metadata, STANDARD, path) if STANDARD in metadata else [1.0] * len(lights), lights)
 
 
 def responses_in(metadata: Mapping[str, str], path: Path) -> Responses:

@@ -99,7 +99,7 @@ class Data:
         return Batch(
             camera=camera,
             recordings=tuple(recordings),
-            levels=tuple(1.0 for _ in self.plan.seen.lights) if view.is_standard else view.lighting_levels,
+            levels=self.plan.seen.standard_levels if view.is_standard else view.known_levels,
             iteration=iteration,
             pool=self,
             seed=(config.seed, STREAM_BATCH, iteration),

@@ -6,6 +6,8 @@ points tell of the photos themselves (gains, balances, lens, and the response wh
 once they are there; and their radiance is read with all of that known.
 """
 
+import math
+
 import numpy as np
 import torch
 
@@ -76,6 +78,7 @@ def place(state: State, nuisances: Nuisances | None) -> None:
     radiance = points.colours if config.method.traits.initial_radiance == "points" else None
     if radiance is None:
         radiance = merged_log_radiance(positions, views, exposures, response, seen.range)
+        radiance = radiance - _standard_log_change(seen)
     if nuisances is not None:
         radiance = radiance - nuisances.begin(positions, told)
     start = Start(
@@ -86,6 +89,12 @@ def place(state: State, nuisances: Nuisances | None) -> None:
     )
     method.backbone.place(positions, radiance, start)
     state.start_message = message
+
+
+def _standard_log_change(seen: Seen) -> float:
+    """By how much less than at level 1 the standard light leaves in the beginning, where shares are alike."""
+    share = 1.0 / (len(seen.lights) + 1)
+    return math.log1p(sum(share * (level - 1.0) for level in seen.standard_levels))
 
 
 def may_have_strays(plan: Plan) -> bool:

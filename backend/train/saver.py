@@ -18,6 +18,7 @@ from .checkpoint import (
     LIGHTS,
     RANGE,
     RESPONSES,
+    STANDARD,
     VIEWS,
     check_tensors,
     damaged,
@@ -29,6 +30,7 @@ from .checkpoint import (
     require_configuration,
     responses_in,
     save_checkpoint,
+    standard_levels_of,
 )
 from .config import TrainConfig, fingerprint, in_iterations
 from .events import Saved
@@ -107,6 +109,8 @@ def save(state: State, folder: Path) -> Saved:
         RANGE: json.dumps(state.plan.seen.range),
         RESPONSES: state.plan.seen.responses,
     }
+    if any(level != 1.0 for level in state.plan.seen.standard_levels):
+        metadata[STANDARD] = json.dumps(state.plan.seen.standard_levels)
     save_checkpoint(path, tensors, metadata)
     return Saved(state.iteration, str(path))
 
@@ -187,7 +191,12 @@ def load_method(
     iteration = progress_of(metadata, config.iterations, path).iteration
     lights = lights_of(metadata, path)
     setup = MethodSetup(
-        anchor, implementation, lights, responses_in(metadata, path), log_radiance_range_in(metadata, path)
+        anchor,
+        implementation,
+        lights,
+        responses_in(metadata, path),
+        log_radiance_range_in(metadata, path),
+        standard_levels_of(metadata, path),
     )
     method = new_method(config.method, config.backbone, setup)
     restore_method(method, tensors, path)

@@ -84,8 +84,8 @@ def seen_exposures(views: Sequence[View], config: TrainConfig) -> list[tuple[int
 class Seen:
     """What a training may look at: ``views`` of ``scene``, at ``exposures``, their positions in each bracket.
 
-    ``lights``: names of those that it learns levels of; ``responses``: what is known of the pictures';
-    ``range``: bounds of ln radiance.
+    ``lights``: names of those that it has levels of, and these in ``standard_levels``; ``responses``: what is
+    known of the pictures'; ``range``: bounds of ln radiance.
     """
 
     scene: Scene
@@ -94,6 +94,7 @@ class Seen:
     lights: tuple[str, ...]
     responses: Responses
     range: tuple[float, float]
+    standard_levels: tuple[float, ...] = (1.0,)
 
 
 def seen_by(scene: Scene, config: TrainConfig) -> Seen:
@@ -109,4 +110,5 @@ def seen_by(scene: Scene, config: TrainConfig) -> Seen:
         training_lights(scene, config),
         responses_of(views, exposures),
         log_radiance_range(views, exposures),
+        scene.standard_levels if config.method.traits.light == "view" else (1.0,),
     )

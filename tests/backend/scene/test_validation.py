@@ -51,7 +51,7 @@ def test_the_reader_knows_validation_views(small: ModuleType, with_validation: P
     view = scene.find("val", 6)
     expected = small.to_8_bit(small.response(small.radiance(6) * view.exposures[3]))
     assert (view.image(3) == expected).all() and view.camera.position[0] == 6.0
-    assert list(scene.splits) == ["train", "test", "lit", "val"]
+    assert list(scene.splits) == ["train", "test", "lit", "val", "lit_test"] and not scene.lit_test
     with pytest.raises(BadValueError, match="no pose 1 in split 'val'"):
         scene.find("val", 1)
 
