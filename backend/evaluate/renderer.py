@@ -49,7 +49,8 @@ class Renderer(Protocol):
         self, camera: Camera, exposures: Sequence[float], lighting_level: Levels | None = None
     ) -> Iterable[torch.Tensor]:
         """``ldr`` at each exposure: all at once if that is cheaper, else one by one."""
-        return (self.ldr(camera, exposure, lighting_level) for exposure in exposures)
+        at = () if lighting_level is None else (lighting_level,)
+        return (self.ldr(camera, exposure, *at) for exposure in exposures)
 
     def photographed(
         self,

@@ -2,7 +2,7 @@
 """A run as a whole: its data set, its configuration and its trained method."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,8 +21,9 @@ from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
 from ..train.learned_lens import LearnedLenses, lenses_of
 from ..train.learned_poses import LearnedPoses, moved
+from ..train.light_levels import LightLevels, with_levels
 from ..train.nuisances import Nuisances
-from ..train.saver import learned_of_photographs, load_method
+from ..train.saver import learned_levels, learned_of_photographs, load_method
 from ..train.state import State
 from ..train.views import seen_exposures, training_views
 from .display_scale import display_scale
@@ -171,6 +172,7 @@ def open_run(
         choose_device(device)[0],
         written.fingerprint,
     )
+    scene = _at_levels(scene, learned_levels(folder, training_views(scene, config), scene.lights))
     learned, twists = learned_of_photographs(folder)
     lenses = lenses_of(learned, [view.camera for view in scene.train])
     return Run(folder, written.preset, config, scene, method, iteration, lenses, twists)
@@ -178,15 +180,23 @@ def open_run(
 
 def as_learned(run: Run, state: State) -> Run:
     """The run as its training is now, whatever it has learned of the photographs with it."""
-    nuisances, poses = state.part(Nuisances), state.part(LearnedPoses)
+    nuisances, poses, light = state.part(Nuisances), state.part(LearnedPoses), state.part(LightLevels)
     learned = {} if nuisances is None else nuisances.tensors()
     cameras = [view.camera for view in run.scene.train]
     return replace(
         run,
+        scene=run.scene if light is None else _at_levels(state.plan.seen.scene, light.levels),
         iteration=state.iteration,
         lenses=lenses_of((learned.get("vignetting"), learned.get("reach")), cameras),
         twists=None if poses is None else poses.twists,
     )
+
+
+def _at_levels(scene: Scene, found: Mapping[tuple[str, int], float]) -> Scene:
+    """``scene`` with the levels that a training has found for groups and lights where none is stated."""
+    if not found:
+        return scene
+    return replace(scene, lit=with_levels(scene.lit, found), lit_test=with_levels(scene.lit_test, found))
 
 
 def _scene(

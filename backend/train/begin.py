@@ -30,6 +30,7 @@ from .data import Data
 from .first_primitives import place
 from .growing import Growing
 from .learned_poses import LearnedPoses
+from .light_levels import LightLevels
 from .nuisances import Nuisances
 from .optimisers import Optimiser
 from .plan import Plan, planned
@@ -37,7 +38,7 @@ from .saver import restore_method, restore_rest
 from .state import Part, State
 
 #: What can take part in a training, in the order in which an iteration asks it.
-PARTS: tuple[type[Part], ...] = (LearnedPoses, Nuisances, Growing)
+PARTS: tuple[type[Part], ...] = (LearnedPoses, Nuisances, LightLevels, Growing)
 
 
 def begin(

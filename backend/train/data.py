@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The pictures of a training, and which of them an iteration sees."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -84,6 +85,12 @@ class Data:
             mask=self.pictures.mask(view, k),
         )
 
+    def _levels(self, view: View) -> tuple[float, ...]:
+        """Those of the view; NaN where they are learned, until the part that learns them has put them in."""
+        if view.is_standard:
+            return self.plan.seen.standard_levels
+        return tuple(math.nan if level is None else level for level in view.lighting_levels)
+
     def batch(self, iteration: int) -> Batch:
         """What an iteration (from 0) sees."""
         config = self.plan.config
@@ -99,7 +106,7 @@ class Data:
         return Batch(
             camera=camera,
             recordings=tuple(recordings),
-            levels=self.plan.seen.standard_levels if view.is_standard else view.known_levels,
+            levels=self._levels(view),
             iteration=iteration,
             pool=self,
             seed=(config.seed, STREAM_BATCH, iteration),

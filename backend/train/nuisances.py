@@ -9,7 +9,8 @@ light that a photo's response sees is radiance × stated exposure × ``effect``,
 
 θ: the angle to the camera's axis. What is stated is right on the whole: that is the gauge. After every step
 gains have a mean of zero over the training photos and do not follow the stated exposure (else a steeper
-response with flatter radiance would look the same), and so it is with balances over the places. So the
+response with flatter radiance would look the same), and so it is with balances over the places. Photos
+under other light (``lights.json``) are in the gauge group by group: else gains would be its level. So the
 scale and the colour of the radiance stay where the data put them. v is 1 on the axis and never rises.
 
 Each photo's rows are stepped when it is seen, by Adam with a count of its own, so that what is learned does
@@ -114,6 +115,8 @@ class Nuisances(Part):
         #: Those under the standard light: only there is a point as bright in one as in another.
         self._standard = [(v, e) for v, e in zip(views, exposures, strict=True) if v.is_standard]
         self._place = {view: row for row, view in enumerate(views)}
+        #: The photos and places of each light: each is in the gauge by itself, or gains would be its level.
+        self._groups = _groups([view.group for view, _ in photos], [view.group for view in views], device)
         self._lens = dict(zip(views, lenses([view.camera for view in views]), strict=True))
         count = 1 + max(self._lens.values())
         #: tan²θ where ρ = 1, for each lens, ``[L]``.
@@ -292,8 +295,12 @@ class Nuisances(Part):
         is_seen = self.telling != UNSEEN
         mean = (self.telling * is_seen).sum() / is_seen.sum().clamp_min(1)
         telling = torch.where(is_seen, self.telling, mean)
-        gain.copy_(_in_gauge(gain[:, None], self.log_exposure, telling)[:, 0])
-        balance.copy_(_in_gauge(balance, self._log_exposure_there, self._at_places(telling)))
+        for rows, places in self._groups:
+            there = self._at_places(telling)[places]
+            found = _in_gauge(gain[rows, None], self.log_exposure[rows], telling[rows])[:, 0]
+            gain[rows] = found.to(gain.dtype)
+            found = _in_gauge(balance[places], self._log_exposure_there[places], there)
+            balance[places] = found.to(balance.dtype)
         self.values["vignetting"].clamp_(min=0.0)
 
     # -- checkpoints -----------------------------------------------------------------------------------
@@ -310,6 +317,24 @@ class Nuisances(Part):
     def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
         for name, mine in self.tensors().items():
             mine.copy_(tensors[name])
+
+
+#: Rows of a table.
+Rows = slice | torch.Tensor
+
+
+def _groups(
+    of_photos: Sequence[str], of_places: Sequence[str], device: torch.device
+) -> list[tuple[Rows, Rows]]:
+    """The rows of each group, in photos and in places; all of them at once where there is one."""
+    names = dict.fromkeys(of_places)
+    if len(names) == 1:
+        return [(slice(None), slice(None))]
+
+    def rows(groups: Sequence[str], name: str) -> torch.Tensor:
+        return torch.tensor([row for row, group in enumerate(groups) if group == name], device=device)
+
+    return [(rows(of_photos, name), rows(of_places, name)) for name in names]
 
 
 def _in_gauge(values: torch.Tensor, log_exposure: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

@@ -2,7 +2,9 @@
 """A training's state in a checkpoint: written by the clock, and read again, whole or for the method alone."""
 
 import json
+import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from ...bridge.errors import OutputError
 from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
 from ..methods.base import Method, MethodSetup
 from ..rasterize import Implementation
+from ..scene.scene import View
 from .backbones import new_method
 from .checkpoint import (
     CONFIGURATION,
@@ -36,6 +39,7 @@ from .config import TrainConfig, fingerprint, in_iterations
 from .events import Saved
 from .growing import Growing
 from .learned_poses import LearnedPoses
+from .light_levels import LightLevels, unknown_levels
 from .nuisances import Nuisances
 from .optimisers import ADAM
 from .state import State
@@ -171,6 +175,24 @@ def learned_of_photographs(
     vignetting, reach = (tensors.get(f"{Nuisances.name}.{name}") for name in ("vignetting", "reach"))
     twist, pixel = (tensors.get(f"{LearnedPoses.name}.{name}") for name in ("twist", "pixel"))
     return (vignetting, reach), None if twist is None or pixel is None else (twist * pixel).numpy()
+
+
+def learned_levels(
+    folder: Path, views: Sequence[View], lights: Sequence[str]
+) -> dict[tuple[str, int], float]:
+    """The levels that the run in ``folder`` has found for its training ``views``, by group and light.
+
+    Raises ``FileDamagedError`` where they are others than the views ask for.
+    """
+    path = folder / CHECKPOINT_FILE
+    unknown = unknown_levels(views, lights)
+    if not unknown:
+        return {}
+    found = load_checkpoint(path)[0].get(f"{LightLevels.name}.log_level")
+    if found is None or len(found) != len(unknown):
+        raise damaged(path, "its levels of light are not those of its data set")
+    each = zip(unknown, found.tolist(), strict=True)
+    return {(level.group, level.index): math.exp(value) for level, value in each}
 
 
 def load_method(
