@@ -35,7 +35,7 @@ def _settle(folder: str) -> None:
         former = _folders.get(chosen.folder_key, folder)
         if former and folder and former != folder:
             with respelling():
-                for group in (chosen, getattr(scene, DATASET)):
+                for group in (chosen, *chosen.photos_lights, getattr(scene, DATASET)):
                     _rewrite(group, former, folder)
     _mark(folder)
 

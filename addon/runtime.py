@@ -84,8 +84,9 @@ def _follow_scene(current: Session) -> None:
 def _follow_photos(current: Session) -> None:
     """Look at the photos of the scene that is shown, anew where other options understand them otherwise."""
     settings = bpy.context.scene.physhdr
-    folder, exposures = outside.chosen(settings.photos), settings.photos_exposures
-    if not folder or (exposures and not outside.chosen(exposures)) or why_not(current.state, "look"):
+    folder = outside.chosen(settings.photos)
+    others = [settings.photos_exposures, *(each.folder for each in settings.photos_lights)]
+    if not folder or not all(map(outside.chosen, filter(None, others))) or why_not(current.state, "look"):
         return
     options = photo_options(settings).to_look
     if (folder, options) != (current.state.photos.folder, current.state.photos.options):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..bridge.light_words import OFF, ON, UNKNOWN
 from ..bridge.limits import THREADS_MAX
 from ..bridge.messages import WhenClosed
 from ..bridge.presets import IN_PANEL
@@ -46,6 +47,13 @@ LENSES = [
     ("SIMPLE_RADIAL", "Simple", "One term of distortion: where places are few"),
     ("OPENCV_FISHEYE", "Fisheye", "A fisheye lens, or the widest of an action camera or drone"),
     ("PINHOLE", "None", "No distortion: rendered pictures, or photos whose lens was corrected"),
+]
+#: What a light does in a folder of photos: the words of ``--light`` (``bridge.light_words``).
+LIGHT_WORDS = [
+    (OFF, "Off", "The light is off in these photos, and on in the others"),
+    (ON, "On", "The light is on in these photos alone: the others are without it"),
+    ("factor", "Factor", "The light is so many times as strong as in the other photos"),
+    (UNKNOWN, "Unknown", "The light has another strength, which training finds: evening, a dimmer"),
 ]
 TONES = [
     ("linear", "Scene-Linear", "Radiance as it is; Blender's view transform shows it"),
@@ -189,6 +197,34 @@ class PHYSHDR_LightLevel(bpy.types.PropertyGroup):
     )
 
 
+class PHYSHDR_OtherLight(bpy.types.PropertyGroup):
+    """A folder of photos under other light, and what a light does there."""
+
+    folder: bpy.props.StringProperty(
+        name="Folder",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder of photos under other light; nothing in it is changed",
+        update=choosing("folder"),
+    )
+    light: bpy.props.StringProperty(name="Light", description="Name of the light, as its slider will bear it")
+    word: bpy.props.EnumProperty(name="Is", items=LIGHT_WORDS)
+    factor: bpy.props.FloatProperty(
+        name="Factor",
+        default=0.5,
+        min=0.0,
+        soft_max=4.0,
+        max=1000.0,
+        description="How many times as strong as in the other photos",
+    )
+
+    @property
+    def as_option(self) -> str:
+        """For ``--light``."""
+        word = f"{self.factor:.4f}" if self.word == "factor" else self.word
+        return f"{self.light.strip()}={outside.followed(absolute(self.folder))}:{word}"
+
+
 class PHYSHDR_Capture(bpy.types.PropertyGroup):
     """Where a capture stands in the scene, by its data set's folder (``placement``). Matrices row by row."""
 
@@ -269,6 +305,14 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     photos_partial: bpy.props.BoolProperty(
         name="Use What Was Found", description="Go on where less than half of the places could be found"
     )
+    photos_lights: bpy.props.CollectionProperty(
+        type=PHYSHDR_OtherLight, description="Folders of photos under other light"
+    )
+    photos_named_lights: bpy.props.BoolProperty(
+        name="Folders Named by Light",
+        default=True,
+        description="Use folders in the photos' folder or beside it whose names say a light: pendant off",
+    )
     captures: bpy.props.CollectionProperty(
         type=PHYSHDR_Capture, description="Where captures stand whose scale or ground was set"
     )
@@ -325,7 +369,10 @@ def photo_options(chosen: PHYSHDR_Settings, **overrides: Any) -> PhotoOptions:
     names = [each.name for each in fields(PhotoOptions)]
     of_settings = {"max_width": "photos_width"}
     found = {name: getattr(chosen, of_settings.get(name, f"photos_{name}")) for name in names}
+    found["lights"] = tuple(each.as_option for each in chosen.photos_lights if each.folder)
     options = {**found, **overrides}
+    if isinstance(options["lights"], str):
+        options["lights"] = tuple(filter(None, options["lights"].splitlines()))
     options["exposures"] = outside.followed(absolute(options["exposures"]))
     return PhotoOptions(**options)
 
@@ -357,7 +404,7 @@ def preview_levels(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> tuple[flo
     return chosen.lighting_level, *(light.level if light else 1.0 for light in others)
 
 
-_CLASSES = (PHYSHDR_Preferences, PHYSHDR_LightLevel, PHYSHDR_Capture, PHYSHDR_Settings)
+_CLASSES = (PHYSHDR_Preferences, PHYSHDR_LightLevel, PHYSHDR_OtherLight, PHYSHDR_Capture, PHYSHDR_Settings)
 
 
 def register() -> None:

@@ -9,23 +9,25 @@ from .light_groups import LightGroup, LightGroups
 from .lights import AMBIENT
 from .words import counted
 
-#: Levels that nobody measured differ from all others: any numbers that no lights share do for that.
+#: A level that nobody measured differs from all others: any number that comes once does for that.
 UNKNOWN_RATIO = 0.6180339887
 #: Of a unit vector: less is rounding.
 NOTHING = 1e-6
 
 
-def light_report(groups: LightGroups, places: Mapping[str, int]) -> tuple[list[str], list[str]]:
+def light_report(
+    groups: LightGroups, counts: Mapping[str, int], what: str = "place"
+) -> tuple[list[str], list[str]]:
     """A line for each light that can be turned, and warnings.
 
-    ``places``: from how many places each group was photographed, by its name.
+    ``counts``: from how many places (or ``what`` is counted) each group was photographed, by its name.
     """
     apart = never_apart(groups)
     confused = {light for lights in apart for light in lights}
     lines = []
     for light in groups.lights:
         seen = [
-            f"{_in_words(group.levels[light])} from {counted(places.get(group.name, 0), 'place')}"
+            f"{_in_words(group.levels[light])} from {counted(counts.get(group.name, 0), what)}"
             for group in groups.groups
             if light in group.levels
         ]
@@ -38,11 +40,14 @@ def never_apart(groups: LightGroups) -> list[tuple[str, ...]]:
     """The lights whose sum alone can be known, together: none in an ordinary capture.
 
     Each picture is a sum of lights times their levels: what tells them apart are the levels of the groups
-    and of the standard as linear equations.
+    and of the standard as linear equations. Of two that change to unknown levels in one group nobody can say
+    which did what: they count as one level there.
     """
-    unknown = iter(1.0 + (UNKNOWN_RATIO * k) % 1.0 for k in range(1, 1 << 30))
     rows = [groups.standard_levels, *map(groups.levels, groups.groups)]
-    levels = np.array([[next(unknown) if level is None else level for level in row] for row in rows])
+    unknown = [1.0 + (UNKNOWN_RATIO * number) % 1.0 for number in range(len(rows))]
+    levels = np.array(
+        [[u if level is None else level for level in row] for u, row in zip(unknown, rows, strict=True)]
+    )
     _, strengths, right = np.linalg.svd(levels)
     free = right[np.count_nonzero(strengths > NOTHING * strengths[0]) :]
     together = np.abs(free.T @ free) > NOTHING

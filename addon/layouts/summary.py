@@ -8,7 +8,7 @@ It reads JSON files and headers of pictures only, so that a panel can show it at
 import math
 import struct
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,16 @@ from ...bridge import data_set
 from ...bridge.contents import SplitContents, split_contents
 from ...bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ...bridge.layouts import GAUSSHDR, HDR_NERF_SYN, layout_of, looked_for
+from ...bridge.layouts.picture_files import PICTURES
 from ...bridge.layouts.transforms import frames_of
+from ...bridge.light_groups import LightGroups, read_light_groups
+from ...bridge.light_report import light_report
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import LEVEL, is_number
 from ...bridge.regular import read_json_object, regular_file
 from ...bridge.words import counted
 from .picture_size import PNG_SIGNATURE, picture_size
-from .views import VIEWS, read_views
+from .views import VIEWS, View, read_views
 
 #: Of a number of points.
 MOST_DIGITS = 12
@@ -51,7 +54,8 @@ class DatasetSummary:
     training views. ``stops``: dynamic range, and ``stops_from``: whether it was measured on the true radiance
     or only follows from the exposures. ``levels``, ``relit_levels``: ambient levels of extra training views
     and of the relit truth. ``lights``: those that the scene has, each with a level of its own;
-    ``lit_lights``: those whose levels differ in the extra training views; ``mixtures``: how many settings of
+    ``lit_lights``: those whose levels differ in the extra training views; ``turnable``: a sentence for each
+    light of a capture that can be turned afterwards; ``mixtures``: how many settings of
     the relit truth change another light than the ambient one. ``layout``: of a capture; empty for our own.
     ``warnings``: what is wrong, the worst first.
     """
@@ -67,6 +71,7 @@ class DatasetSummary:
     relit_levels: tuple[float, ...] = ()
     lights: tuple[str, ...] = ()
     lit_lights: tuple[str, ...] = ()
+    turnable: tuple[str, ...] = ()
     mixtures: int = 0
     layout: str = ""
     warnings: tuple[str, ...] = ()
@@ -84,7 +89,9 @@ class DatasetSummary:
         views = self.views
         if VIEWS in views:
             size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
-            return [f"{self.name}: {views[VIEWS]} views{size}, {self.layout}", *self._of_exposures()]
+            lit = f", {views[data_set.LIT]} under other light" if data_set.LIT in views else ""
+            head = f"{self.name}: {views[VIEWS]} views{lit}{size}, {self.layout}"
+            return [head, *self._of_exposures(), *self.turnable]
         parts = [f"{views.get(data_set.TRAIN, 0)} training views", f"{views.get(data_set.TEST, 0)} test"]
         if data_set.LIT in views:
             parts.append(f"{views[data_set.LIT]} under other light")
@@ -106,7 +113,7 @@ class DatasetSummary:
             if self.mixtures:
                 parts.append(f"truth for {counted(self.mixtures, 'mixture')}")
             lines.append(f"Lights: {'; '.join(parts)}")
-        return lines
+        return [*lines, *self.turnable]
 
     def _of_exposures(self) -> list[str]:
         """A line each for exposures, dynamic range and points, where known."""
@@ -208,14 +215,21 @@ def _of_capture(folder: Path) -> DatasetSummary:
     if None not in pictures.values() and len(exposures) < FEWEST_EXPOSURES:
         warnings.append("All pictures have one exposure: high dynamic range cannot be learned.")
     stops, stops_from = _stops(info, exposures)
-    views = dict(Counter(view.split for view in found.seen))
+    groups, group_of = _lights_of(folder, found.seen)
+    lit = {data_set.LIT: len(group_of)} if group_of else {}
+    views = dict(Counter(view.split for view in found.seen if view.name not in group_of))
     if VIEWS in views:
-        views = {VIEWS: len(found.seen)}
+        views = {VIEWS: len(found.seen) - len(group_of)}
     elif data_set.TEST not in views:
         warnings.append("There is no test split: the quality cannot be measured.")
+    turnable: list[str] = []
+    if groups is not None:
+        turnable, apart = light_report(groups, Counter(group_of.values()), "view")
+        warnings += [f"{each[0].upper()}{each[1:]}." for each in apart]
     return DatasetSummary(
         name=data_set.scene_name(folder, info),
-        views=views,
+        views={**views, **lit},
+        turnable=tuple(turnable),
         size=next(iter(sizes)) if len(sizes) == 1 else None,
         exposures=exposures,
         stops=stops,
@@ -224,6 +238,25 @@ def _of_capture(folder: Path) -> DatasetSummary:
         layout="photographs" if (folder / data_set.CAPTURE_FILE).is_file() else found.layout.name,
         warnings=tuple(warnings),
     )
+
+
+def _lights_of(folder: Path, views: Sequence[View]) -> tuple[LightGroups | None, dict[str, str]]:
+    """What ``lights.json`` says, and the group of each view under other light, by the view's name."""
+    groups = read_light_groups(folder)
+    if groups is None:
+        return None, {}
+    group_of: dict[str, str] = {}
+    for view in views:
+        inside = [
+            path.relative_to(root)
+            for path in view.pictures
+            for root in (folder, folder / PICTURES)
+            if path.is_relative_to(root)
+        ]
+        group = groups.group_of(view.name, [path.as_posix() for path in inside])
+        if group is not None:
+            group_of[view.name] = group.name
+    return groups, group_of
 
 
 def _levels(levels: tuple[float, ...]) -> str:

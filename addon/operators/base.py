@@ -39,7 +39,7 @@ def choices(context: bpy.types.Context) -> Choices:
         photos=outside.chosen(settings.photos),
         photos_out=outside.chosen(settings.photos_out),
         of_file=True,
-        not_looked_at=outside.not_chosen(settings, getattr(context.scene, DATASET)),
+        not_looked_at=outside.not_chosen(settings, *settings.photos_lights, getattr(context.scene, DATASET)),
         unsaved=next((each for each in (settings.data, settings.out) if is_nowhere(each)), ""),
     )
 

@@ -14,6 +14,7 @@ import bpy
 
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
+from ...bridge.light_words import OFF, ON, UNKNOWN, LightChange, changes_in_name
 from .. import outside
 from ..chosen_run import is_run_of, proposed_run
 from ..paths import absolute, first_free, whole
@@ -61,7 +62,9 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
         photos = _folder(self.directory, "the photos")
         if not photos.is_dir():
             raise FileMissingError(f"there is no folder {photos}", "Choose the folder that holds the photos.")
-        if not settings.photos_out or Path(absolute(settings.photos)) != photos:
+        if settings.photos and Path(absolute(settings.photos)) != photos:
+            forget(settings)
+        if not settings.photos_out:
             settings.photos_out = proposed_folder(photos)
         settings.photos = str(photos)
         current.look_at_photos(str(photos), photo_options(settings).to_look)
@@ -98,6 +101,10 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
     max_width: bpy.props.IntProperty(name="Width at Most", min=0, subtype="PIXEL", options=GIVEN)
     lens: bpy.props.EnumProperty(name="Lens", items=LENSES, options={"SKIP_SAVE"})
     partial: bpy.props.BoolProperty(name="Use What Was Found", options=GIVEN)
+    lights: bpy.props.StringProperty(
+        name="Other Light", description="One a line: pendant=FOLDER:off", options=GIVEN
+    )
+    named_lights: bpy.props.BoolProperty(name="Folders Named by Light", default=True, options=GIVEN)
     overwrite: bpy.props.BoolProperty(
         name="Replace", description="Replace the data set that was made of photos before", options=GIVEN
     )
@@ -128,6 +135,8 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
             raise OutputError(f"{out} holds the photos", "Choose another folder for the data set.")
         overrides = {name: getattr(self, name) for name in OPTIONS if self.properties.is_property_set(name)}
         self._chosen(context, "exposures", "photos_exposures")
+        for each in context.scene.physhdr.photos_lights:
+            outside.choose(each.folder)
         options = photo_options(context.scene.physhdr, **overrides)
         arguments = prepare_command(str(photos), str(out), options.to_prepare, self.overwrite)
         command = current.backend_command(*arguments)
@@ -154,6 +163,52 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         return outside.choose(getattr(context.scene.physhdr, setting))
 
 
+class PHYSHDR_OT_photos_light_add(bpy.types.Operator):
+    """Choose a folder of photos of the same place under other light: with a lamp off, in the evening. That
+    light can then be turned afterwards"""
+
+    bl_idname = "physhdr.photos_light_add"
+    bl_label = "Add Other Light"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    directory: bpy.props.StringProperty(name="Photos", subtype="DIR_PATH", options=FOLDER)
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_image: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.directory = outside.chosen(context.scene.physhdr.photos)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = Path(whole(self.directory))
+        lights = context.scene.physhdr.photos_lights
+        for change in changes_in_name(folder.name) or (LightChange(folder.name, OFF),):
+            light = lights.add()
+            light.folder, light.light = str(folder), change.light
+            if change.level is None:
+                light.word = UNKNOWN
+            elif change.word in (OFF, ON):
+                light.word = change.word
+            else:
+                light.word, light.factor = "factor", change.level
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_photos_light_remove(bpy.types.Operator):
+    """Leave out this folder of photos under other light; nothing on disk is changed"""
+
+    bl_idname = "physhdr.photos_light_remove"
+    bl_label = "Leave Out Other Light"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "INTERNAL", "UNDO"}
+
+    number: bpy.props.IntProperty(min=0, options={"SKIP_SAVE"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.scene.physhdr.photos_lights.remove(self.number)
+        return {"FINISHED"}
+
+
 class PHYSHDR_OT_photos_forget(bpy.types.Operator):
     """Leave these photos; nothing on disk is changed"""
 
@@ -170,6 +225,7 @@ class PHYSHDR_OT_photos_forget(bpy.types.Operator):
 def forget(settings: PHYSHDR_Settings) -> None:
     """No folder of photos is chosen any more."""
     settings.photos = settings.photos_out = ""
+    settings.photos_lights.clear()
     session().dispatch(PhotosChosen(""))
 
 
@@ -224,5 +280,11 @@ def _folder(overrides: str, what: str) -> Path:
     return Path(whole(overrides))
 
 
-_CLASSES = (PHYSHDR_OT_photos_look, PHYSHDR_OT_photos_prepare, PHYSHDR_OT_photos_forget)
+_CLASSES = (
+    PHYSHDR_OT_photos_look,
+    PHYSHDR_OT_photos_prepare,
+    PHYSHDR_OT_photos_light_add,
+    PHYSHDR_OT_photos_light_remove,
+    PHYSHDR_OT_photos_forget,
+)
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

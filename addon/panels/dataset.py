@@ -7,6 +7,7 @@ from ..dataset import rig_preview
 from ..operators.base import choices
 from ..session.state import PHOTOS, Photos, Prepared, State
 from ..session.tasks import duration
+from ..settings import PHYSHDR_Settings
 from .parts import BOX, button, first_line, reasons, shortened, write
 
 
@@ -47,6 +48,7 @@ def draw_photos(context: bpy.types.Context, layout: bpy.types.UILayout, state: S
     settings = context.scene.physhdr
     for name in ("photos_out", "photos_width", "photos_handheld"):
         column.prop(settings, name)
+    draw_lights(layout, settings)
     head, more = layout.panel("physhdr_photos_more", default_closed=True)
     head.label(text="If It Is Misunderstood")
     if more is not None:
@@ -55,13 +57,27 @@ def draw_photos(context: bpy.types.Context, layout: bpy.types.UILayout, state: S
         for name in ("bracket", "exposures", "lens"):
             more.prop(settings, f"photos_{name}")
         more.use_property_split = False  # for the longest name there is only so room beside its box
-        for name in ("same_exposure", "borrow_poses", "partial"):
+        for name in ("same_exposure", "borrow_poses", "partial", "named_lights"):
             more.prop(settings, f"photos_{name}")
     if found.seconds >= 0.0:
         write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME", beside=BOX)
     button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
     if not state.task(PHOTOS):
         reasons(context, layout, state, "photos", BOX)
+
+
+def draw_lights(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None:
+    """The folders of photos under other light, and a button for one more."""
+    for number, each in enumerate(settings.photos_lights):
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        row.prop(each, "light", text="", icon="LIGHT", placeholder="Light")
+        row.prop(each, "word", text="")
+        if each.word == "factor":
+            row.prop(each, "factor", text="")
+        row.operator("physhdr.photos_light_remove", text="", icon="X").number = number
+        column.prop(each, "folder", text="")
+    layout.operator("physhdr.photos_light_add", text="Other Light…", icon="ADD")
 
 
 def draw_report(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:

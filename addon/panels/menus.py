@@ -66,6 +66,7 @@ class PHYSHDR_MT_capture(_Menu, bpy.types.Menu):
     bl_label = "Capture"
     rows = (
         Entry("photos_look", "Prepare Photos…", "IMAGE_DATA"),
+        Entry("photos_light_add", "Add Photos under Other Light…"),
         Entry("photos_prepare", "Prepare Data Set of Photos"),
         None,
         Entry("dataset_render", "Render Data Set from This Scene…", "RENDER_STILL"),

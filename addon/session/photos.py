@@ -19,6 +19,8 @@ from .state import Photos, Prepared
 LABELS = {
     " (--group names)": "",
     "--group none": "Photos a Place 1",
+    "--light none": "Folders Named by Light switched off",
+    "--light": "Other Light",
     "--handheld": "Hand-Held",
     "--bracket": "Photos a Place",
     "--same-exposure": "Same Exposure",
@@ -37,7 +39,8 @@ class PhotoOptions:
     """What a user may say of photos; the defaults let ``physhdr prepare`` find it out.
 
     ``bracket``: photos at each place; ``lens``: COLMAP's name of its model; ``exposures``: a file of them;
-    ``partial``: continue where less than half of the places were found.
+    ``partial``: continue where less than half of the places were found. ``lights``: folders of photos under
+    other light, as ``--light`` takes them; ``named_lights``: use those whose names say it, too.
     """
 
     handheld: bool = False
@@ -48,6 +51,8 @@ class PhotoOptions:
     max_width: int = 1600
     lens: str = "OPENCV"
     partial: bool = False
+    lights: tuple[str, ...] = ()
+    named_lights: bool = True
 
     @property
     def to_look(self) -> tuple[str, ...]:
@@ -56,6 +61,8 @@ class PhotoOptions:
         options += ["--bracket", str(self.bracket)] if self.bracket else []
         options += ["--same-exposure"] if self.same_exposure else []
         options += ["--exposures", self.exposures] if self.exposures else []
+        options += [f"--light={light}" for light in self.lights]
+        options += [] if self.named_lights else ["--light=none"]
         return tuple(options)
 
     @property
@@ -79,7 +86,7 @@ def prepare_command(photos: str, out: str, options: tuple[str, ...], overwrite: 
 
 def in_panel_words(text: str) -> str:
     """A sentence of the command with its options as the panel calls them."""
-    options = r" \(--group names\)|--group none\b|--[a-z][a-z-]*"
+    options = r" \(--group names\)|--group none\b|--light none\b|--[a-z][a-z-]*"
     return re.sub(options, lambda found: LABELS.get(found[0], found[0]), text)
 
 
@@ -127,7 +134,17 @@ def _described(result: dict[str, Any]) -> tuple[str, ...]:
         lines.append(f"{counted(len(seconds), 'exposure')}: {' to '.join(times)}{over}")
     if lines and isinstance(how := result.get("how"), str) and how:
         lines.append(f"Found {how}")
-    return tuple(lines)
+    return (*lines, *_lights(result.get("lights")))
+
+
+def _lights(listed: Any) -> tuple[str, ...]:
+    """A line for each group of photos under other light."""
+    groups = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
+    return tuple(
+        f"{entry.get('group')}: {counted(entry['places'], 'place')}"
+        for entry in groups
+        if is_number(entry.get("places"))
+    )
 
 
 def _time(seconds: float) -> str:

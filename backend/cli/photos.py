@@ -62,7 +62,7 @@ class PhotoOptions:
     #: A folder of photos under other light, and the light that differs: pendant=FOLDER:off. Instead of off:
     #: on (the light is on in this folder alone), a factor (0.25, 2x), or unknown, evening and so on, for a
     #: level to be found. Repeatable, also for one folder. Folders in or beside the photos' that are called so
-    #: ("pendant off") need no option; none: they are not used.
+    #: ("pendant off") need no option; none: those are not used.
     light: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER:WORD"), tyro.conf.UseAppendAction
     ] = ()
@@ -141,8 +141,8 @@ class Photos(PhotoOptions, Preparing):
         return {"folder": str(folder), **result}
 
     def _say_folders(self, lit: list[LightFolder], reporter: "Reporter") -> None:
-        if lit and not self.light:
-            names = ", ".join(f"'{each.folder.name}'" for each in lit)
+        if named := [each for each in lit if each.is_named]:
+            names = ", ".join(f"'{each.folder.name}'" for each in named)
             reporter.say(f"folders whose names say which light differs: {names}; --light none ignores them")
         if ignored := ignored_folders(self.source, lit):
             reporter.say(f"ignoring folders of photos whose names say no light: {some_names(ignored)}")

@@ -15,7 +15,8 @@ import pytest
 
 from physhdr.addon.layouts.cameras import camera_places, read_frames
 from physhdr.addon.layouts.summary import summarise
-from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
+from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
+from physhdr.bridge.light_groups import LightGroup, LightGroups, write_light_groups
 
 #: Where cameras stand, metres; each is turned by its own angle about an axis of its own.
 PLACES = np.array([[0.5, -2.0, 1.5], [1.0, -1.5, 1.25], [-1.0, 2.0, 1.75], [3.0, 0.25, 1.5]])
@@ -118,6 +119,20 @@ def test_a_prepared_capture(prepared):
     np.testing.assert_allclose(camera_places(prepared), PLACES[[2, 0, 1, 3]], atol=1e-12)
     (prepared / "images/train_003_4.png").unlink()
     assert "Pictures are missing (1): train_003_4.png" in summarise(prepared).warnings[0]
+
+
+def test_which_lights_of_a_capture_can_be_turned(prepared):
+    off = LightGroup("pendant off", {"pendant": 0.0}, ("train_001", "test_002"))
+    dim = LightGroup("lamps dim", {"lamp": None, "desk": None}, ("train_003_0.png",))
+    lights = ("ambient", "pendant", "lamp", "desk")
+    write_light_groups(prepared, LightGroups(lights, (off, dim)))
+    found = summarise(prepared)
+    assert found.views == {"train": 1, "lit": 3} and "1 training views, 0 test, 3 under" in found.lines[0]
+    assert found.lines[-1] == "pendant can be turned afterwards: off from 2 views"
+    assert any(each.startswith("Lamp and desk always change together") for each in found.warnings)
+    (prepared / "lights.json").write_text("{}")
+    with pytest.raises(BadValueError, match="physhdr-lights"):
+        summarise(prepared)
 
 
 @pytest.mark.parametrize("binary", [True, False])

@@ -21,6 +21,7 @@ from physhdr.addon.operators.base import choices  # noqa: E402
 from physhdr.addon.session.advice import headline, next_step, problem_of, why_not  # noqa: E402
 from physhdr.addon.session.state import DATASET, LOOK, PHOTOS, PythonChosen  # noqa: E402
 from physhdr.addon.session.task import TaskEnded  # noqa: E402
+from physhdr.addon.settings import photo_options  # noqa: E402
 
 REPORT = {"versions": {"torch": "2.13.0", "pycolmap": "4.2.1"}, "missing": []}
 #: Instead of backend/launch.py. What it does is written on a photo's name; what it was called with is kept.
@@ -135,6 +136,65 @@ def test_scripts_give_what_they_want_and_former_calls_do_not_count(extension, ph
     assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset_2")
     # A whole card has nothing beside it.
     assert Path(operators.proposed_folder(Path(tmp_path.anchor))).parent == Path.home()
+
+
+def test_photos_under_other_light_are_a_list(extension, photos, tmp_path):
+    from physhdr.addon import runtime
+
+    for name in ("pendant off + daylight evening", "lamp 50%", "desk"):
+        (tmp_path / name).mkdir()
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    settings = bpy.context.scene.physhdr
+    for name in ("pendant off + daylight evening", "lamp 50%", "desk"):
+        assert bpy.ops.physhdr.photos_light_add(directory=str(tmp_path / name)) == {"FINISHED"}
+    both = tmp_path / "pendant off + daylight evening"
+    wanted = [
+        f"--light=pendant={both}:off",
+        f"--light=daylight={both}:unknown",
+        f"--light=lamp={tmp_path / 'lamp 50%'}:0.5000",
+        f"--light=desk={tmp_path / 'desk'}:off",
+    ]
+    settings.photos_named_lights = False
+    assert list(photo_options(settings).to_look) == [*wanted, "--light=none"]
+    # What is added is looked at anew, as every other option that changes what photos mean.
+    runtime._follow_photos(extension)
+    assert extension.state.photos.options == (*wanted, "--light=none")
+    extension.wait(lambda state: state.task(LOOK) is None, 60.0)
+    bpy.ops.physhdr.photos_light_remove(number=2)
+    settings.photos_named_lights = True
+    assert bpy.ops.physhdr.photos_prepare() == {"FINISHED"}
+    assert [word for word in calls(tmp_path)[-1] if word.startswith("--light")] == [*wanted[:2], wanted[3]]
+    assert len(settings.photos_lights) == 0  # with the photos that it belonged to
+    given = f"flash={tmp_path / 'desk'}:on"
+    bpy.ops.physhdr.photos_prepare(photos=str(photos), out=str(tmp_path / "there"), lights=given)
+    assert [word for word in calls(tmp_path)[-1] if word.startswith("--light")] == [f"--light={given}"]
+
+
+def test_other_photos_have_other_lights(extension, photos, tmp_path):
+    (tmp_path / "lamp_on").mkdir()
+    (tmp_path / "hall").mkdir()
+    (tmp_path / "hall" / "a.jpg").touch()
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    bpy.ops.physhdr.photos_light_add(directory=str(tmp_path / "lamp_on"))
+    light = bpy.context.scene.physhdr.photos_lights[0]
+    assert (light.light, light.word) == ("lamp", "on")
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    assert len(bpy.context.scene.physhdr.photos_lights) == 1
+    bpy.ops.physhdr.photos_look(directory=str(tmp_path / "hall"))
+    assert len(bpy.context.scene.physhdr.photos_lights) == 0
+
+
+def test_a_folder_of_other_light_that_a_file_names_is_asked_for(extension, photos, tmp_path):
+    """Nothing of a stranger's file is looked at before the user agrees, and paths move with the file."""
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    light = bpy.context.scene.physhdr.photos_lights.add()
+    light.light, light["folder"] = "lamp", str(tmp_path / "elsewhere")  # as a file has it: nobody set it
+    assert str(tmp_path / "elsewhere") in choices(bpy.context).not_looked_at
+    light.folder = "//lamp"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
+    (tmp_path / "other").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other" / "mine.blend"))
+    assert bpy.context.scene.physhdr.photos_lights[0].folder == "//../lamp"
 
 
 def test_a_saved_file_has_the_data_set_beside_it(extension, photos, tmp_path):

@@ -76,6 +76,9 @@ def groups(levels, standard=None):
         ([{"pendant": 0.5, "lamp": 0.5}, {"pendant": 2.0, "lamp": 2.0}], {}, [("pendant", "lamp")]),
         ([{"pendant": 0.0}], {}, [("ambient", "lamp")]),
         ([{"ambient": 0.0, "pendant": 0.0}, {"lamp": 0.0}], {}, [("ambient", "pendant")]),
+        ([{"pendant": None, "lamp": None}], {}, [("pendant", "lamp")]),
+        ([{"pendant": None, "lamp": None}, {"pendant": None}], {}, []),
+        ([{"pendant": None, "lamp": None}] * 2, {}, [("pendant", "lamp")]),
     ],
 )
 def test_lights_that_always_change_together_are_not_told_apart(levels, standard, together):
@@ -84,7 +87,7 @@ def test_lights_that_always_change_together_are_not_told_apart(levels, standard,
     assert never_apart(made) == together
     numbers = np.random.default_rng(3).uniform(0.1, 3.0, 9)
     rows = [made.standard_levels, *map(made.levels, made.groups)]
-    matrix = np.array([[numbers[k] if v is None else v for k, v in enumerate(row)] for row in rows])
+    matrix = np.array([[numbers[k] if v is None else v for v in row] for k, row in enumerate(rows)])
     for number, light in enumerate(made.lights):
         unit = np.eye(3)[number]
         solved = matrix.T @ np.linalg.lstsq(matrix.T, unit, rcond=None)[0]

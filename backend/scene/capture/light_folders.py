@@ -6,7 +6,7 @@ A folder is one group of ``lights.json``: ``pendant off/``, or ``--light pendant
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ....bridge.errors import BadValueError, DataMismatchError, FileMissingError
@@ -16,17 +16,21 @@ from ....bridge.lights import AMBIENT, check_lights
 from ....bridge.regular import resolved
 from .photos import MASKS, holds_photos
 
-#: ``--light none``: folders whose names say a light are not used.
+#: ``--light none``: folders whose names alone say a light are not used.
 NONE = "none"
 FORM = "Write --light pendant=FOLDER:off, or give a folder that is called so: 'pendant off'."
 
 
 @dataclass(frozen=True)
 class LightFolder:
-    """A folder of photos, and which lights differ there from the other photos."""
+    """A folder of photos, and which lights differ there from the other photos.
+
+    ``is_named``: its name alone says so, no option does.
+    """
 
     folder: Path
     changes: tuple[LightChange, ...]
+    is_named: bool = False
 
     @property
     def name(self) -> str:
@@ -35,22 +39,18 @@ class LightFolder:
 
 
 def light_folders(photos: Path, options: Sequence[str]) -> list[LightFolder]:
-    """The folders that ``--light`` names, or else those in or beside ``photos`` whose names say a light.
+    """The folders that ``--light`` names, then those in or beside ``photos`` whose names say a light.
 
     Raises ``BadValueError`` for options that say nothing or contradict each other, ``FileMissingError`` for
     a folder that does not exist, ``DataMismatchError`` for two of one light.
     """
-    if NONE in options:
-        if len(options) > 1:
-            raise BadValueError("--light none and other --light contradict each other", "Leave one out.")
-        return []
-    if options:
-        found = _asked(photos, options)
-    else:
-        named = [(folder, changes_in_name(folder.name)) for folder in _around(photos)]
-        found = [
-            LightFolder(folder, changes) for folder, changes in named if changes and holds_photos(folder)
-        ]
+    found = _asked(photos, [option for option in options if option != NONE])
+    if NONE not in options:
+        asked = {resolved(each.folder) for each in found}
+        for folder in _around(photos):
+            changes = changes_in_name(folder.name)
+            if changes and resolved(folder) not in asked and holds_photos(folder):
+                found.append(LightFolder(folder, changes, is_named=True))
     found = _in_one_spelling(found)
     _require_distinct(found)
     groups_of(found)  # raises where lights contradict each other
@@ -155,10 +155,7 @@ def _in_one_spelling(folders: Sequence[LightFolder]) -> list[LightFolder]:
         for change in each.changes:
             spelling.setdefault(change.light.casefold(), change.light)
     return [
-        LightFolder(
-            each.folder,
-            tuple(LightChange(spelling[c.light.casefold()], c.word) for c in each.changes),
-        )
+        replace(each, changes=tuple(LightChange(spelling[c.light.casefold()], c.word) for c in each.changes))
         for each in folders
     ]
 

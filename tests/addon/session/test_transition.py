@@ -236,6 +236,9 @@ def test_what_photos_are_is_told_in_short_lines():
         "3 exposures: 1/8 s to 2 s, 4.0 stops",
         "Found by order: each 3 photos repeat",
     )
+    told["lights"] = [{"group": "pendant off", "levels": {"pendant": 0.0}, "places": 8}, {"group": 3}, 7]
+    found, _ = transition(state, TaskEnded("look", True, result=told))
+    assert found.photos.lines[4:] == ("pendant off: 8 places",)
     single = {"photos": 11, "places": 11, "per_place": 1, "exposures": [0.0008], "stops": 0.0}
     found, _ = transition(state, TaskEnded("look", True, result=single))
     assert found.photos.lines == ("11 photos", "11 places", "1 exposure: 1/1250 s")

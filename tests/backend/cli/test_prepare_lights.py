@@ -183,8 +183,10 @@ def test_folders_in_or_beside_that_say_it_themselves(tmp_path, capsys):
         {"Pendant": 2.0},
     ]
     assert look(capsys, photos, "--light", "none")["lights"] == []
-    only = look(capsys, photos, "--light", photos / "Pendant off")
+    only = look(capsys, photos, "--light", photos / "Pendant off", "--light", "none")
     assert [each["group"] for each in only["lights"]] == ["Pendant off"]
+    more = look(capsys, photos, f"--light=flash={tmp_path / 'pendant_2x'}:on")
+    assert [each["group"] for each in more["lights"]] == ["flash on", "Pendant off", "desk_lamp off"]
 
 
 def test_a_light_that_is_on_in_its_group_alone_is_off_in_the_standard(tmp_path):
@@ -223,7 +225,6 @@ def test_a_light_that_is_on_in_its_group_alone_is_off_in_the_standard(tmp_path):
         (["pendant=a:on", "pendant=b:off"], "pendant is off in the other photos already"),
         (["pendant=a:1"], "which is the light of the other photos, too"),
         (["pendant=photos:off"], "is the folder of the standard light"),
-        (["none", "pendant=a:off"], "--light none and other --light contradict"),
     ],
 )
 def test_what_can_be_wrong_with_lights(tmp_path, monkeypatch, lights, message):
