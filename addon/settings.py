@@ -343,6 +343,12 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         name="Live Preview",
         description="Show the model that the backend holds in every 3D view of this scene",
     )
+    dim_unseen: bpy.props.BoolProperty(
+        name="Dim Unseen",
+        default=True,
+        description="Dim in 3D views what no training camera has seen: a model is a guess there, and flares. "
+        "Renders, and views from the cameras' places, are not changed",
+    )
     exposure_ev: bpy.props.FloatProperty(
         name="Exposure (EV)", soft_min=-10.0, soft_max=10.0, description="Radiance times 2 to this power"
     )

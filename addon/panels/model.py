@@ -84,6 +84,8 @@ class PHYSHDR_PT_look(ModelSubpanel, bpy.types.Panel):
         column = layout.column()
         column.use_property_split = True
         column.prop(target, DISPLAY, text="3D View")
+        if CAMERAS in cloud_of(target):
+            column.prop(context.scene.physhdr, "dim_unseen")
         if text := confidence_note(target):
             write(context, layout, text, "INFO")
         draw_native(layout, target)

@@ -31,7 +31,7 @@ import numpy as np
 
 from ...bridge.errors import DataMismatchError
 from ..model.tone_curve import ToneCurve
-from . import gpu_arrays, overlay_shader
+from . import gpu_arrays, overlay_shader, seen
 from .camera import OPENGL_TO_OPENCV, ViewCamera, between, has_jumped, of_region
 from .overlay_shader import Flag
 
@@ -83,6 +83,9 @@ class Layer:
     top_row_first: bool = False
     #: The depths are Σ weight · depth, to be divided by alpha.
     depth_is_sum: bool = False
+    #: ``[K, 3, 4]``: what cameras saw of the world (``seen``), beyond which it is dimmed; ``None``:
+    #: nothing is.
+    frustums: np.ndarray | None = None
 
 
 #: Gives the layers of a region, the farthest first; called while it is drawn.
@@ -106,6 +109,7 @@ def _flags(layer: Layer, erase: bool) -> int:
         Flag.DEPTH_IS_SUM: layer.depth_is_sum,
         Flag.USE_TONE: layer.tone is not None,
         Flag.ERASE: erase,
+        Flag.FADE: layer.frustums is not None,
     }
     return sum(flag for flag, is_set in wanted.items() if is_set)
 
@@ -120,6 +124,8 @@ class Compositor:
         self._curves: dict[bytes, tuple[gpu.types.GPUTexture, float, float]] = {}
         blank = np.zeros((1, 1, 4), np.float32)
         self._no_curve = (gpu_arrays.texture(blank, "RGBA32F"), 0.0, 1.0)
+        #: Of the layer last drawn: a sampler does not keep its texture.
+        self._frustums = self._no_curve[0]
 
     def draw(self, layer: Layer, view: ViewCamera, window_matrix: np.ndarray, *, erase: bool = False) -> None:
         """Draw over what is there, where the depth buffer allows it.
@@ -130,6 +136,8 @@ class Compositor:
         shader, source = self._shader, layer.camera
         texture, start, step = self._curve(layer.tone)
         picture_to_clip = window_matrix @ OPENGL_TO_OPENCV @ between(source, view)
+        if layer.frustums is not None:
+            self._frustums = gpu_arrays.texture(seen.texels(layer.frustums, source), "RGBA32F")
         layer.colour.filter_mode(True)
         shader.bind()
         gpu_arrays.set_matrix(shader, "picture_to_clip", picture_to_clip)
@@ -140,6 +148,7 @@ class Compositor:
         shader.uniform_sampler("picture", layer.colour)
         shader.uniform_sampler("picture_depth", layer.depth)
         shader.uniform_sampler("tone_curve", texture)
+        shader.uniform_sampler("frustums", self._frustums)
         gpu.state.blend_set("MULTIPLY" if erase else "ALPHA_PREMULT")
         gpu.state.depth_test_set("LESS_EQUAL")
         gpu.state.depth_mask_set(False)

@@ -6,6 +6,7 @@ from enum import IntFlag, auto
 import gpu
 
 from ...bridge import srgb
+from . import seen
 
 #: Samples of a tone curve on the GPU, equally spaced in ln(exposure).
 TONE_SAMPLES = 1024
@@ -20,6 +21,8 @@ class Flag(IntFlag):
     USE_TONE = auto()
     #: Put out 1 − alpha, to be multiplied with what is there.
     ERASE = auto()
+    #: Dim what no training camera has seen (``seen``).
+    FADE = auto()
 
 
 # The picture is a card that faces its own camera at `plane_depth`. Seen by that camera it fills the
@@ -60,6 +63,21 @@ float tone_channel(float radiance, int channel)
                                    : pow((display + SRGB_OFFSET) / SRGB_SCALE, SRGB_POWER);
 }
 
+// How much is shown of a point: all where a training camera saw it. Their frustums: three rows each.
+float shown_of(vec3 place)
+{
+  float nearest = OUTSIDE;
+  for (int k = 0; k < textureSize(frustums, 0).y && nearest > INSIDE; k++) {
+    vec3 seen = vec3(dot(texelFetch(frustums, ivec2(0, k), 0), vec4(place, 1.0)),
+                     dot(texelFetch(frustums, ivec2(1, k), 0), vec4(place, 1.0)),
+                     dot(texelFetch(frustums, ivec2(2, k), 0), vec4(place, 1.0)));
+    if (seen.z > 0.0) {
+      nearest = min(nearest, max(abs(seen.x), abs(seen.y)) / seen.z);
+    }
+  }
+  return mix(1.0, LEAST, smoothstep(INSIDE, OUTSIDE, nearest));
+}
+
 void main()
 {
   vec2 in_texture = vec2(at.x, (flags & TOP_ROW_FIRST) != 0 ? at.y : 1.0 - at.y);
@@ -73,9 +91,13 @@ void main()
   }
   float depth = texelFetch(picture_depth, texel, 0).r;
   depth = (flags & DEPTH_IS_SUM) != 0 ? depth / coverage : depth;
-  vec4 clip = picture_to_clip * vec4(in_picture_space(at, depth), 1.0);
+  vec3 place = in_picture_space(at, depth);
+  vec4 clip = picture_to_clip * vec4(place, 1.0);
   gl_FragDepth = clamp(clip.z / clip.w * 0.5 + 0.5, 0.0, 1.0);
 
+  if ((flags & FADE) != 0) {
+    colour *= shown_of(place);
+  }
   if ((flags & ERASE) != 0) {
     result = vec4(1.0 - min(colour.a, 1.0));
     return;
@@ -112,6 +134,9 @@ def create() -> gpu.types.GPUShader:
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "picture_depth")
     info.sampler(2, "FLOAT_2D", "tone_curve")
+    info.sampler(3, "FLOAT_2D", "frustums")
+    for name in ("INSIDE", "OUTSIDE", "LEAST"):
+        info.define(name, repr(getattr(seen, name)))
     info.fragment_out(0, "VEC4", "result")
     info.depth_write("ANY")
     info.vertex_source(_VERTEX)

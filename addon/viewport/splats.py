@@ -16,16 +16,18 @@ import bpy
 import numpy as np
 
 from ...bridge import srgb
+from ...bridge.errors import PhysHDRError
 from ..blender import add_handlers, cloud_of, remove_handlers
-from ..model.attributes import BY_SHADER, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY, NODES, SPLATS
+from ..model.attributes import BY_SHADER, CAMERAS, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY, NODES, SPLATS
 from ..model.cleaning import Cleaning
 from ..model.drawn import fingerprint
 from ..model.look import Look, is_model, kept_of, look_of
 from ..model.nodes import find_modifier
-from ..model.point_cloud import read_tone_curve
+from ..model.point_cloud import cameras_in, read_tone_curve
 from ..model.point_removal import selection_of
 from ..model.tone_curve import ToneCurve
-from . import bounds, overlay, stand_in
+from ..settings import SETTINGS
+from . import bounds, overlay, seen, stand_in
 from .camera import ViewCamera, has_jumped
 from .edit_points import EditPoints, checksum
 from .instances import InstanceFinder, is_visible
@@ -39,7 +41,7 @@ from .splat_data import (
     is_splats,
     read_arrays,
 )
-from .splat_renderer import Drawing, Item, SplatRenderer, Target
+from .splat_renderer import Drawing, Item, SplatRenderer, Target, is_flat
 
 #: After the last change of a model's points: until its bounds are computed again.
 BOUNDS_SECONDS = 0.5
@@ -129,6 +131,20 @@ def items_by_tone(shown: Iterable[Shown]) -> dict[bytes, tuple[ToneCurve | None,
             )
         )
     return groups
+
+
+def seen_of(shown: Iterable[Shown]) -> np.ndarray | None:
+    """What training's cameras saw of the world, ``[K, 3, 4]`` (``seen``); ``None`` where that is not known of
+    all that is shown, or where not radiance is shown."""
+    found = []
+    for each in shown:
+        rows = (
+            None if each.confidence or is_flat(each.matrix_world) else _held(each.cloud).frustums(each.cloud)
+        )
+        if rows is None:
+            return None
+        found.append(seen.of_object(rows, each.matrix_world))
+    return np.concatenate(found) if found else None
 
 
 def set_hidden(identities: Iterable[str]) -> None:
@@ -259,6 +275,18 @@ class _Held:
         self._kept: dict[Cleaning, Marks] = {}
         self._selected: tuple[int, Marks] | None = None
         self._points: tuple[int, EditPoints] | None = None
+        self._frustums: tuple[str, np.ndarray | None] | None = None
+
+    def frustums(self, cloud: bpy.types.PointCloud) -> np.ndarray | None:
+        """What the cameras that came with the model saw, in its own space; ``None`` where none did."""
+        listed = str(cloud.get(CAMERAS, ""))
+        if self._frustums is None or self._frustums[0] != listed:
+            try:
+                cameras = cameras_in(cloud)
+            except PhysHDRError:  # Look Through says what is wrong with them
+                cameras = ()
+            self._frustums = listed, seen.frustums(cameras) if cameras else None
+        return self._frustums[1]
 
     def confidence(self, cloud: bpy.types.PointCloud) -> SplatTextures:
         """The Gaussians in the colours of their confidence; their texels are in the order of ``textures``."""
@@ -335,6 +363,7 @@ def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
     if any(stand_in.is_shown(each.cloud) for each in shown):
         # Linked, reloaded, appended by a script. Nothing may be changed while a view is drawn.
         _soon(_hide_points, 0.0)
+    frustums = seen_of(shown) if getattr(context.scene, SETTINGS).dim_unseen else None
     region, layers, wake_in = overlay.region_key(context.region), [], None
     for key, (tone, items) in items_by_tone(shown).items():
         if (region, key) not in _runtime.views:
@@ -343,7 +372,7 @@ def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
         view.tint(context.preferences.themes[0].view_3d)
         drawing, better_in = view.update(items, camera)
         if drawing is not None:
-            layers.append(drawing.layer(tone))
+            layers.append(replace(drawing.layer(tone), frustums=frustums))
         if better_in is not None:
             wake_in = better_in if wake_in is None else min(wake_in, better_in)
     if wake_in is not None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The overlay's compositing, drawn without a window into a framebuffer like a 3D view's."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +11,10 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import gpu  # noqa: E402
 
 from physhdr.addon.model.tone_curve import ToneCurve  # noqa: E402
-from physhdr.addon.viewport import gpu_arrays, overlay  # noqa: E402
+from physhdr.addon.viewport import gpu_arrays, overlay, seen  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera, from_matrices  # noqa: E402
 from physhdr.addon.viewport.overlay import Compositor, Layer, RenderedView, upload  # noqa: E402
+from physhdr.bridge.camera_list import ListedCamera  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.srgb import to_linear  # noqa: E402
 
@@ -171,3 +173,42 @@ def test_a_picture_of_before_a_jump_is_not_shown(compositor, monkeypatch):
     # What is half covered is taken to be a metre away.
     assert len(overlay._layers(context, camera_at(0.4))) == 2
     assert overlay._layers(context, camera_at(0.6)) == []
+
+
+def listed(camera: ViewCamera) -> ListedCamera:
+    size = camera.width, camera.height
+    return ListedCamera("one", camera.camera_to_world, *size, camera.fx, camera.fy, camera.cx, camera.cy)
+
+
+def test_what_no_training_camera_has_seen_is_dimmed_and_nothing_else(compositor):
+    shown = picture(3.0)
+    plain, view = upload(shown), View(colour=(0.0, 0.0, 0.0, 0.0))
+    expected = view.draw(compositor, plain, shown.camera)
+
+    def drawn(*cameras: ViewCamera) -> np.ndarray:
+        rows = seen.frustums([listed(each) for each in cameras])
+        layer = replace(plain, frustums=rows)
+        return View(colour=(0.0, 0.0, 0.0, 0.0)).draw(compositor, layer, shown.camera)
+
+    behind = ViewCamera(np.diag([-1.0, 1.0, -1.0, 1.0]), WIDTH, HEIGHT, 60.0, 60.0, 30.0, 20.0)
+    np.testing.assert_array_equal(drawn(shown.camera), expected)
+    np.testing.assert_array_equal(drawn(behind, camera_at(9.0), shown.camera), expected)
+    np.testing.assert_allclose(drawn(behind), seen.LEAST * expected, rtol=2e-3, atol=1e-3)
+    # One 3 m away that stood 1.5 m aside: 30 pixels of the 60 are outside, 6 of them more than a fifth.
+    aside = drawn(camera_at(1.5))
+    share = aside[20, :, 3] / np.maximum(expected[20, :, 3], 1e-6)
+    place = (np.arange(WIDTH) + 0.5 - 27.0) / 60.0 * 3.0 - 1.5  # metres beside the other camera
+    across = np.abs(place / 3.0 * 60.0 + 27.0 - 30.0) / 30.0
+    np.testing.assert_allclose(share[across < seen.INSIDE], 1.0, atol=2e-3)
+    np.testing.assert_allclose(share[across > seen.OUTSIDE], seen.LEAST, atol=2e-3)
+    between = share[(across > seen.INSIDE) & (across < seen.OUTSIDE)]
+    assert np.all(np.diff(between) > 0.0) or np.all(np.diff(between) < 0.0)
+
+
+def test_of_many_cameras_those_are_asked_that_look_as_the_view_does():
+    camera = camera_at(0.0)
+    others = [camera_at(5.0 + number) for number in range(2 * seen.MOST)]
+    rows = seen.texels(seen.frustums([listed(each) for each in (*others, camera)]), camera)
+    assert rows.shape == (seen.MOST, 3, 4)
+    # The view's own comes first: the middle of what it sees is the middle of that picture.
+    np.testing.assert_allclose(rows[0][2], [0.0, 0.0, 1.0, 0.0], atol=1e-6)

@@ -20,6 +20,7 @@ from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
 from physhdr.bridge import confidence  # noqa: E402
+from physhdr.bridge.camera_list import ListedCamera  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.spherical_harmonics import C0, C1  # noqa: E402
 from physhdr.bridge.srgb import to_linear  # noqa: E402
@@ -474,3 +475,31 @@ def test_a_slow_gpu_shows_the_last_picture_and_ends_sharp(renderer, monkeypatch)
     drawing, wake_in = view.update(items, behind)
     assert drawing is not again and drawing.camera.width < SIZE / 3 and drawing.is_complete
     np.testing.assert_array_equal(drawing.camera.camera_to_world, behind.camera_to_world)
+
+
+def test_what_the_models_cameras_saw_is_known_where_it_stands_in_the_world(
+    registered, renderer, make_model, write, look_at
+):
+    camera = ListedCamera("one", look_at(0.0, -3.0, 1.0), 60, 40, 70.0, 70.0, 30.0, 20.0)
+    target = model_import.import_model(write(dataclasses.replace(make_model(count=60), cameras=(camera,))))
+    target.physhdr_viewport = "SPLATS"
+    target.location, target.scale = (1.0, 2.0, 3.0), (2.0, 2.0, 2.0)
+    bpy.context.view_layer.update()
+
+    def shown():
+        return list(splats.shown_objects(bpy.context.view_layer, bpy.context.evaluated_depsgraph_get()))
+
+    (rows,) = splats.seen_of(shown())
+    place = np.array(target.matrix_world) @ camera.camera_to_world @ (0.3, 0.1, -2.0, 1.0)
+    across, down, ahead = rows @ place
+    assert (across / ahead, down / ahead) == pytest.approx(
+        (0.3 / 2.0 * 70.0 / 30.0, -0.1 / 2.0 * 70.0 / 20.0)
+    )
+    # Beside a model that brought none nothing is dimmed, nor is a confidence.
+    other = model_import.import_model(write(make_model(count=60)))
+    other.physhdr_viewport = "SPLATS"
+    assert splats.seen_of(shown()) is None
+    bpy.data.objects.remove(other)
+    assert splats.seen_of(shown()) is not None
+    target.data["physhdr_cameras"] = "nonsense"
+    assert splats.seen_of(shown()) is None
