@@ -8,6 +8,7 @@ LDR-NE over 1, 3 (not seen), alternating on in longer brackets.
 HDR: ``metrics.hdr_pair``, both unchanged and divided by the median scale ratio, over the pixels compared in
 all pictures of a view.
 Relit: the μ-law PSNR under other light, and that of merely scaled pictures (``results.RelitRow``).
+Lit: photos under other light that were left out (``lit_photos``).
 The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where it was reached.
 """
 
@@ -24,6 +25,7 @@ from ...bridge.errors import BadValueError, DataMismatchError
 from ..scene.scene import Scene, View
 from . import truth
 from .linearity import Values, compared_values, linearity
+from .lit_photos import can_be_compared, lit_rows
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, averaged_to, display, hdr_normaliser, hdr_shown, quantise, scale_ratio
 from .photos import Falloff, falloff_there, fitted_photos, no_falloff
@@ -90,7 +92,9 @@ def evaluate(
     camera = views[0].camera
     if _smallest_side(views) < SMALLEST_SIDE:
         lpips = None
-    step = _Steps((2 if falloff is None else 3) * len(views) + len(relit), progress)
+    compares_lit = split == TEST and bool(scene.lit_test) and can_be_compared(renderer, scene)
+    count = (2 if falloff is None else 3) * len(views) + len(relit)
+    step = _Steps(count + (len(scene.lit_test) if compares_lit else 0), progress)
 
     # Before rendering, which takes long: the response in dataset.json may be invalid.
     learned = learned_response(renderer)
@@ -128,6 +132,9 @@ def evaluate(
                 relit_rows.append(row)
             else:
                 messages.append(f"Relit {item.condition} of {view.name} left out: its truth is black.")
+    lit = lit_rows(renderer, scene, falloff, step) if compares_lit else []
+    if split == TEST and scene.lit_test and not compares_lit:
+        messages.append("Photos under other light left out: the model has no levels for their lights.")
     step.end()
     messages += _capped(ldr, hdr_rows, relit_rows)
     return Evaluation(
@@ -147,6 +154,7 @@ def evaluate(
         iterations=iterations,
         eight_bit=all_of_eight_bits(views),
         falloff_used=falloff_used,
+        lit=lit,
         linearity=linearity([_compared(each) for each in standard.values()]),
     )
 

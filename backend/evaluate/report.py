@@ -17,7 +17,7 @@ from rich.text import Text
 
 from ...bridge.atomic import atomic_path
 from ...bridge.run_folder import EVALUATION_FILE, REPORT_FILE, SHEET_FILE
-from .results import NOVEL, OBSERVED, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, Metrics, RelitMeans
+from .results import NOVEL, OBSERVED, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, LitMeans, Metrics, RelitMeans
 
 #: An empty cell of a table: not computed.
 NONE = "–"
@@ -26,6 +26,8 @@ NONE = "–"
 VIEW_METRICS = (("PSNR", "psnr", 2), ("SSIM", "ssim", 4), ("LPIPS 01", "lpips_01", 4))
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
 RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain")
+
+LIT_COLUMNS = ("photos", "relit", "scaled photo", "scaled ours", "gain")
 
 REPORT_FILES = (EVALUATION_FILE, "evaluation.csv", REPORT_FILE)
 RESPONSE_FILE = "response.png"
@@ -64,6 +66,9 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
         "relit_means": {
             label: _relit_dict(means) for label, means in _relit_means(evaluation) if means is not None
         },
+        "lit_means": {
+            label: dataclasses.asdict(means) | {"gain": means.gain} for label, means in _lit_means(evaluation)
+        },
         "exposures": [dataclasses.asdict(row) for row in evaluation.exposures],
         "views": [dataclasses.asdict(row) for row in evaluation.views],
         "ldr": [dataclasses.asdict(row) for row in evaluation.ldr],
@@ -78,6 +83,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             }
             for row in evaluation.relit
         ],
+        "lit": [dataclasses.asdict(row) for row in evaluation.lit],
         "messages": evaluation.messages,
         "seconds": round(evaluation.seconds, 2),
     }
@@ -108,7 +114,7 @@ def to_csv(evaluation: Evaluation) -> str:
     columns = ["part", "view", "index", "exposure_index", "exposure", "light", "normaliser", "scale_ratio"]
     columns += ["slope"]
     columns += ["psnr", "ssim", "lpips", "lpips_01", "psnr_scaled_truth", "psnr_scaled_ours"]
-    columns += ["psnr_best_scaled_truth", "factor", "best_factor"]
+    columns += ["psnr_best_scaled_truth", "factor", "best_factor", "psnr_scaled_photo"]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
     writer.writeheader()
@@ -129,6 +135,11 @@ def to_csv(evaluation: Evaluation) -> str:
         content["psnr_scaled_truth"] = content.pop("scaled_truth")
         content["psnr_scaled_ours"] = content.pop("scaled_ours")
         writer.writerow({"part": "relit"} | content)
+    for row in evaluation.lit:
+        content = dataclasses.asdict(row)
+        renamed = {"light": "group", "psnr": "ours", "psnr_scaled_ours": "scaled_ours"}
+        renamed["psnr_scaled_photo"] = "scaled_photo"
+        writer.writerow({"part": "lit"} | {new: content.pop(old) for new, old in renamed.items()} | content)
     return stream.getvalue()
 
 
@@ -140,6 +151,8 @@ def to_markdown(evaluation: Evaluation) -> str:
     ]
     if evaluation.relit:
         parts.append(_markdown_table(("relit, dB", *RELIT_COLUMNS), _relit_cells(evaluation)))
+    if evaluation.lit:
+        parts.append(_markdown_table(("photos under other light, dB", *LIT_COLUMNS), _lit_cells(evaluation)))
     parts.append(_markdown_table(*_view_table(evaluation)))
     parts.append("\n".join(f"- {line}" for line in [*conditions(evaluation), *evaluation.messages]))
     return "\n\n".join(parts) + "\n"
@@ -158,6 +171,9 @@ def to_terminal(evaluation: Evaluation) -> Group:
     if evaluation.relit:
         title = "relit: μ-law PSNR in dB against the relit truth"
         parts.append(_rich_table(title, ("light", *RELIT_COLUMNS), _relit_cells(evaluation)))
+    if evaluation.lit:
+        title = "photos under other light that were left out: PSNR in dB"
+        parts.append(_rich_table(title, ("group", *LIT_COLUMNS), _lit_cells(evaluation)))
     parts += [Text(line, style="dim") for line in conditions(evaluation)]
     parts += [Text(line, style="yellow") for line in evaluation.messages]
     return Group(*parts)
@@ -226,6 +242,26 @@ def _means(evaluation: Evaluation) -> list[tuple[str, Metrics | None]]:
 def _relit_means(evaluation: Evaluation) -> list[tuple[str, RelitMeans | None]]:
     conditions = [(name, evaluation.relit_mean(name)) for name in evaluation.relit_conditions]
     return [*conditions, ("all", evaluation.relit_mean())]
+
+
+def _lit_means(evaluation: Evaluation) -> list[tuple[str, LitMeans]]:
+    labels = [*((name, name) for name in evaluation.lit_groups), ("all", None)]
+    means = ((label, evaluation.lit_mean(group)) for label, group in labels)
+    return [(label, each) for label, each in means if each is not None]
+
+
+def _lit_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
+    return [
+        (
+            label,
+            str(means.photos),
+            _cell(means.ours, 2),
+            _cell(means.scaled_photo, 2),
+            _cell(means.scaled_ours, 2),
+            f"{means.gain:+.2f}",
+        )
+        for label, means in _lit_means(evaluation)
+    ]
 
 
 def _relit_dict(means: RelitMeans) -> dict[str, float]:

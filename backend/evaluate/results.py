@@ -101,6 +101,39 @@ class RelitRow:
 
 
 @dataclass(frozen=True)
+class LitRow:
+    """One photo under other light that was left out: PSNR in dB of what may stand for it.
+
+    ``ours``: relit, as the photo states its exposure. Of the standard light, at the exposure that fits best:
+    ``scaled_ours``, our render; ``scaled_photo``, the photo from the same place, None where there is none.
+    """
+
+    group: str
+    view: str
+    index: int
+    exposure_index: int
+    exposure: float
+    ours: float
+    scaled_ours: float
+    scaled_photo: float | None
+
+
+@dataclass(frozen=True)
+class LitMeans:
+    """Means in dB over the photos of one group, or all; the photo's where each has one."""
+
+    photos: int
+    ours: float
+    scaled_ours: float
+    scaled_photo: float | None
+
+    @property
+    def gain(self) -> float:
+        """dB by which ours is nearer than the best that scaling does."""
+        return self.ours - max(self.scaled_ours, self.scaled_photo or -math.inf)
+
+
+@dataclass(frozen=True)
 class ExposureMeans:
     """All views at one exposure index. ``exposure``: median, seconds. ``part``: LDR-OE or LDR-NE."""
 
@@ -205,6 +238,7 @@ class Evaluation:
     eight_bit: bool = True
     training_exposures: tuple[int, ...] | None = None
     falloff_used: bool = False
+    lit: list[LitRow] = field(default_factory=list)
     linearity: Linearity | None = None
 
     def ldr_mean(self, part: str) -> Metrics | None:
@@ -277,6 +311,24 @@ class Evaluation:
     def scale_ratio(self) -> float | None:
         """The median over the views of their median prediction / truth; 1 is right. None: no view has one."""
         return middle_ratio([row.scale_ratio for row in self.hdr])
+
+    @property
+    def lit_groups(self) -> list[str]:
+        """The groups of photos under other light that have rows."""
+        return list(dict.fromkeys(row.group for row in self.lit))
+
+    def lit_mean(self, group: str | None = None) -> LitMeans | None:
+        """Means over the photos of ``group``, or over all rows; None if there are none."""
+        rows = [row for row in self.lit if group is None or row.group == group]
+        if not rows:
+            return None
+        photos = [row.scaled_photo for row in rows if row.scaled_photo is not None]
+        return LitMeans(
+            len(rows),
+            _mean([row.ours for row in rows]),
+            _mean([row.scaled_ours for row in rows]),
+            _mean(photos) if len(photos) == len(rows) else None,
+        )
 
     @property
     def relit_conditions(self) -> list[str]:
