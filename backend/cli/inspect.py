@@ -116,6 +116,7 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
         facts.append((name, f"{split.poses} poses, {truth}" + (f"; {levels}" if levels else "")))
     if found.lights:
         facts.append(("lights", ", ".join(found.lights)))
+        facts += [("", sentence) for sentence in found.turnable]
     if found.relit:
         facts += [("relit truth" if k == 0 else "", text) for k, text in enumerate(_relit(found))]
     elif found.splits and found.layout == OURS:

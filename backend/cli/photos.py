@@ -4,6 +4,7 @@
 import dataclasses
 import math
 import statistics
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -59,10 +60,9 @@ class PhotoOptions:
 
     #: Only report what the photos are, and write nothing.
     look: bool = False
-    #: A folder of photos under other light, and the light that differs: pendant=FOLDER:off. Instead of off:
-    #: on (the light is on in this folder alone), a factor (0.25, 2x), or unknown, evening and so on, for a
-    #: level to be found. Repeatable, also for one folder. Folders in or beside the photos' that are called so
-    #: ("pendant off") need no option; none: those are not used.
+    #: A folder of photos under other light, and the light that differs there: pendant=FOLDER:off. Also on (in
+    #: this folder alone), a factor (0.25, 2x), or evening, dim, unknown and so on: a level to be found.
+    #: Folders in or beside the photos' that are called "pendant off" are used without it; none: they are not.
     light: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER:WORD"), tyro.conf.UseAppendAction
     ] = ()
@@ -196,12 +196,13 @@ class Photos(PhotoOptions, Preparing):
         stages = Stages(expected, reporter.progress)
         understood, qualities = _rated(understood, stages, reporter)
         brackets = understood.brackets
+        _groups_left_out(range(len(brackets.poses)), understood, self.partial)
         structure, words = self._structure(understood, qualities, folder, stages, reporter)
         borrowed: dict[int, int] = {}
         if self.borrow_poses and understood.is_handheld:
             structure, borrowed = _borrowed(structure, understood)
         _require_enough(structure, understood, self.partial)
-        dark = _groups_left_out(structure, understood, self.partial)
+        dark = _groups_left_out(structure.registered, understood, self.partial)
         up = up_direction([pose.rotation for pose in structure.registered.values()])
         structure = structure.turned(rotation_to_z(up))
         lenses = self._lenses(structure)
@@ -398,16 +399,16 @@ def _require_enough(structure: Structure, understood: Understanding, partial: bo
         )
 
 
-def _groups_left_out(structure: Structure, understood: Understanding, partial: bool) -> list[str]:
+def _groups_left_out(placed_poses: Iterable[int], understood: Understanding, partial: bool) -> list[str]:
     """The groups under other light of which no photo was placed; raises ``StructureError`` if all are."""
     poses = understood.brackets.poses
-    groups = [group for group in understood.brackets.groups if group]
-    placed = {poses[number].group for number in structure.registered}
+    groups = [group.name for group in understood.lights.groups] if understood.lights is not None else []
+    placed = {poses[number].group for number in placed_poses}
     left_out = [group for group in groups if group not in placed]
     if groups and left_out == groups and not partial:
         raise StructureError(
             f"no photo under other light could be placed: {some_names(left_out)}",
-            f"{LIGHT_REMEDY} --light none, or --partial, continues with the standard light alone.",
+            f"{LIGHT_REMEDY} --partial continues with the standard light alone.",
         )
     return left_out
 

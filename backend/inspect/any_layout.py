@@ -8,9 +8,12 @@ import numpy as np
 
 from ...bridge.data_set import TRAIN
 from ...bridge.errors import PhysHDRError
+from ...bridge.light_groups import LightGroup, LightGroups
+from ...bridge.light_report import light_report
 from ..evaluate import truth
 from ..evaluate.published import keeps_exposures_for_testing
 from ..scene import Scene, View
+from ..scene.held_out_views import same_places
 from ..scene.source import exr_rec709
 from .findings import Inspection, Split, add_exposures, warn_of_exposures
 from .pixels import TrainingPixels
@@ -43,6 +46,7 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
                 else:
                     pixels.add_picture(picture, view.bracket[i], seconds, mask)
     _look_at_truth(scene, found, pixels)
+    _look_at_lights(scene, found)
     pixels.summarise(found)
     if found.points is None:
         found.warnings.append(
@@ -51,6 +55,26 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
         )
     if not all(encoding.is_known for view in scene.train for encoding in view.encodings):
         warn_of_exposures(found)  # pictures of radiance need no bracket
+
+
+def _look_at_lights(scene: Scene, found: Inspection) -> None:
+    """Which lights can be turned afterwards, and from how many places each was seen to differ."""
+    by_group: dict[str, list[View]] = {}
+    for view in (*scene.lit, *scene.lit_test):
+        by_group.setdefault(view.group, []).append(view)
+    if not by_group:
+        return
+    standard = dict(zip(scene.lights, scene.standard_levels, strict=True))
+    groups, places = [], {}
+    for name, views in by_group.items():
+        levels = dict(zip(scene.lights, views[0].lighting_levels, strict=True))
+        changed = {light: level for light, level in levels.items() if level != standard[light]}
+        groups.append(LightGroup(name, changed, ()))
+        poses = np.array([view.camera.camera_to_world for view in views], np.float64)
+        places[name] = len(same_places(poses[:, :3, 3], -poses[:, :3, 2]))
+    found.lights = list(scene.lights)
+    found.turnable, warnings = light_report(LightGroups(scene.lights, tuple(groups), standard), places)
+    found.warnings += warnings
 
 
 def _picture(view: View, i: int, found: Inspection) -> np.ndarray | None:

@@ -70,6 +70,8 @@ class Inspection:
     over_views: float = 0.0
     """Stops from the shortest to the longest exposure if each view has its own."""
     lights: list[str] = field(default_factory=list)
+    turnable: list[str] = field(default_factory=list)
+    """Of a capture, a sentence for each light that can be turned afterwards."""
     relit: list[dict[str, Any]] = field(default_factory=list)
     passes: int = 0
     samples: dict[str, list[float]] = field(default_factory=dict)

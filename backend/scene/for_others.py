@@ -133,8 +133,8 @@ def _splits(how: How) -> tuple[str, ...]:
 
 def _ignored(scene: Scene, how: How) -> Iterable[str]:
     """Messages on what the layout cannot hold."""
-    if scene.lit:
-        yield f"{len(scene.lit)} views under other light were ignored: no such program supports them"
+    if lit := len(scene.lit) + len(scene.lit_test):
+        yield f"{lit} views under other light were ignored: no such program supports them"
     if scene.validation and data_set.VALIDATION not in _splits(how):
         yield f"{len(scene.validation)} validation views were ignored: a COLMAP folder has no such split"
 

@@ -12,6 +12,7 @@ import tyro
 from PIL import Image
 
 from physhdr.backend.cli.prepare import Prepare
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene.capture import structure
 from physhdr.backend.scene.capture.structure import pairs_of_lights
 from physhdr.bridge.errors import PhysHDRError
@@ -111,6 +112,22 @@ def test_exposures_are_on_one_scale_and_show_that_the_pendant_is_off(prepared):
     both = next(radiance(f"{word}_001", 2) for word in ("train", "test") if f"{word}_001_2.png" in exposures)
     ratio = radiance(lit, 2) / both
     assert np.nanpercentile(ratio, 95) < 1.1 and np.nanmedian(ratio) < 0.8
+
+
+def test_inspect_says_which_lights_can_be_turned(prepared):
+    found = inspect(prepared)
+    assert not found.errors and found.lights == ["ambient", "pendant"]
+    assert found.turnable == [f"pendant can be turned afterwards: off from {len(LIT)} places"]
+    assert {name: split.poses for name, split in found.splits.items()}["lit_test"] == 1
+
+
+def test_other_programs_get_the_standard_light_alone(prepared, tmp_path, capsys):
+    words = [str(prepared), str(tmp_path / "out"), "--layout", "nerfstudio"]
+    assert tyro.cli(Prepare, args=words).run() == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{len(LIT)} views under other light were ignored" in said
+    frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
+    assert len(frames) == PLACES
 
 
 def test_what_is_left_out_is_named(shoot, tmp_path, capsys):
@@ -237,12 +254,14 @@ def test_what_can_be_wrong_with_lights(tmp_path, monkeypatch, lights, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_photos_of_another_camera_leave_their_light_out(tmp_path, capsys):
+def test_photos_of_another_camera_leave_their_light_out(tmp_path, monkeypatch, capsys):
     photos = tiny(tmp_path / "photos")
     tiny(tmp_path / "pendant off", make="Phone")
     found = look(capsys, photos)
     assert any("was taken by Phone" in each for each in found["warnings"])
     assert "ignoring 'pendant off': none of its photos can be used" in found["warnings"]
+    monkeypatch.setattr("physhdr.backend.cli.photos.recover", lambda *_: pytest.fail("hours of COLMAP"))
+    assert "no photo under other light could be placed" in refused(photos, tmp_path / "out")
 
 
 def test_the_data_set_may_not_take_the_place_of_a_lights_photos(tmp_path):
