@@ -93,7 +93,7 @@ class Benchmark:
         configs = configurations(plan, presets, resolved(out))
         schedule = Schedule(
             Store(resolved(out), plan, configs, data, _weights(plan.lpips_weights)),
-            tell=lambda line: console.print(line, soft_wrap=True, markup=False),
+            log=lambda line: console.print(line, soft_wrap=True, markup=False),
             retry=self.retry,
             evaluate_again=self.evaluate_again,
             as_evaluated=self.report_only,
@@ -102,22 +102,22 @@ class Benchmark:
         is_written = False
         try:
             if not self.report_only:
-                self._work_off(schedule, plan)
+                self._do_runs(schedule, plan)
         except KeyboardInterrupt:
-            console.print("stopped: finished runs are kept; to resume, repeat the command")
+            console.print("stopped; to resume, repeat the command: finished runs are not repeated")
             raise
         finally:  # also after CTRL-C
             is_written = self._write_report(schedule)
         if absent := [run for run in schedule.runs if schedule.status[run].kind == "absent"]:
             first = schedule.status[absent[0]].text
-            console.print(f"{len(absent)} of {len(schedule.runs)} runs left out: {first}", soft_wrap=True)
+            console.print(f"{len(absent)} of {len(schedule.runs)} runs skipped: {first}", soft_wrap=True)
         bad = [run for run in schedule.runs if schedule.status[run].kind in ("failed", "blocked")]
         if bad:
             console.print(f"{len(bad)} of {len(schedule.runs)} runs failed: the report lists them; --retry")
         return 0 if is_written and not bad else 1
 
     def _plan(self) -> Plan:
-        """The plan file (given, or in ``out``), overridden by options."""
+        """The plan file (``plan``, or the one in ``out``), overridden by options."""
         stored = self.out / PLAN_FILE
         if self.plan is not None and not self.plan.is_file():
             raise FileMissingError(f"there is no plan {self.plan}", "Give a TOML file.")
@@ -138,12 +138,12 @@ class Benchmark:
             "device": self.device,
             "threads_per_job": self.threads_per_job,
         }
-        given = {key: value for key, value in flags.items() if value not in (None, [], "")}
-        return make_plan(content | given, Path.cwd())
+        typed = {key: value for key, value in flags.items() if value not in (None, [], "")}
+        return make_plan(content | typed, Path.cwd())
 
     def _overrides(self) -> list[str]:
         """The options that override the plan file, as arguments."""
-        given: dict[str, tuple[str, ...]] = {
+        typed: dict[str, tuple[str, ...]] = {
             "--kind": (self.kind,) if self.kind else (),
             "--methods": self.methods,
             "--external": self.external,
@@ -157,9 +157,9 @@ class Benchmark:
             "--device": (self.device,) if self.device else (),
             "--threads-per-job": (str(self.threads_per_job),) if self.threads_per_job else (),
         }
-        return [word for flag, values in given.items() if values for word in (flag, *values)]
+        return [argument for flag, values in typed.items() if values for argument in (flag, *values)]
 
-    def _work_off(self, schedule: Schedule, plan: Plan) -> None:
+    def _do_runs(self, schedule: Schedule, plan: Plan) -> None:
         pool: Pool = RayPool(self.ray, plan.threads_per_job) if self.ray else LocalPool(self.jobs)
         waiting = len(schedule.unsettled())
         console.print(
@@ -169,27 +169,28 @@ class Benchmark:
             return
         with caught(interrupt):
             if not console.is_terminal:
-                schedule.work_off(pool)
+                schedule.do_all(pool)
                 return
             with Live(console=console, auto_refresh=False, transient=True) as live:
-                schedule.work_off(pool, lambda: live.update(progress_table(schedule), refresh=True))
+                schedule.do_all(pool, lambda: live.update(progress_table(schedule), refresh=True))
 
     def _write_report(self, schedule: Schedule) -> bool:
         """Write it and return True, unless it has no runs and would replace one that has."""
-        given = [self.report] if self.report else []
-        places = [schedule.store.out / REPORT_FILE, *given]
+        copies = [self.report] if self.report else []
+        places = [schedule.store.out / REPORT_FILE, *copies]
         is_any_done = any(status.kind == "done" for status in schedule.status.values())
-        if not is_any_done and (kept := [str(path) for path in places if holds_runs(path)]):
+        if not is_any_done and (older := [str(path) for path in places if holds_runs(path)]):
             console.print(
-                f"no run of this plan is done: not replacing {', '.join(kept)}. Give another folder for this "
-                "plan, --out, or run it without --report-only.",
+                f"no run of this plan is done: not replacing {', '.join(older)}. Choose another folder for "
+                "this plan, --out, or run it without --report-only.",
                 soft_wrap=True,
             )
             return False
-        words = ["--plan", _shown(self.plan)] if self.plan else []
-        words += self._overrides()
-        words += ["--out", str(self.out), *(word for path in given for word in ("--report", _shown(path)))]
-        command = shlex.join(["physhdr", "benchmark", *words])
+        arguments = ["--plan", _shown(self.plan)] if self.plan else []
+        arguments += self._overrides()
+        arguments += ["--out", str(self.out)]
+        arguments += [argument for path in copies for argument in ("--report", _shown(path))]
+        command = shlex.join(["physhdr", "benchmark", *arguments])
         paths = []
         for path in places:
             paths += write_report(schedule, path, command)
@@ -200,11 +201,11 @@ class Benchmark:
 def configurations(
     plan: Plan, presets: dict[str, TrainConfig], out: Path
 ) -> dict[tuple[str, str], dict[str, Any]]:
-    """By method and scene, the content of its runs' ``config.json`` apart from what is specific to a run.
+    """By method and scene, the content of its runs' ``config.json``, without what is specific to a run.
 
     ``presets``: each method's ``configuration``. Raises ``OutputError``.
     """
-    # Settings that differ between runs count as typed, too.
+    # Settings that differ between runs also count as typed.
     typed = {each.name: (*map(setting_in, plan.settings_of(each)), *PER_RUN) for each in plan.trained}
     found = {}
     for scene in plan.scenes:
@@ -235,7 +236,7 @@ def _as_written(config: TrainConfig) -> dict[str, Any]:
 
 
 def _shown(path: Path) -> str:
-    """As given; only the name of an absolute path, because the location of a checkout is private."""
+    """As typed; only the name of an absolute path, because the location of a checkout is private."""
     return path.name if path.is_absolute() else str(path)
 
 

@@ -64,7 +64,7 @@ def scene_line(name: str, facts: dict[str, Any]) -> str:
     if floor := facts.get("noise_floor"):
         parts.append(f"two renders of a test view agree to {floor_in_words(floor)}")
     if floor := facts.get("reference_floor"):
-        parts.append(f"the kept one and one without denoising to {floor_in_words(floor)}")
+        parts.append(f"the stored one and one without denoising to {floor_in_words(floor)}")
     scene = facts.get("scene", "")
     return f"{name}{f' ({scene})' if scene not in ('', name) else ''}: {', '.join(parts)}"
 
@@ -93,9 +93,9 @@ def machine_lines(records: Iterable[Record]) -> list[str]:
 
     lines = lines_of("machine", kinds) + lines_of("versions", versions)
     if len(kinds) > 1:
-        lines.append("**the runs are not of one machine with one number of threads: compare no seconds**")
+        lines.append("**the runs are from different machines or numbers of threads: do not compare seconds**")
     if len(versions) > 1:
-        lines.append("the runs are of several states of the code (commits; + with changes)")
+        lines.append("the runs are from several states of the code (commits; + with changes)")
     return lines
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One run from beginning to end: search if there is one, train, evaluate, put into place.
+"""One run from beginning to end: search if needed, train, evaluate, put into place.
 
 A job is data, so that another machine of a cluster can do it; files in a shared folder are all it needs.
 """
@@ -39,9 +39,9 @@ from .runs import (
 from .search import Measurement, nearest, next_trial, note_on
 
 USAGE_FILE = "usage.json"
-#: Folders of trainings of which one will be chosen.
+#: Folders of trainings from which one will be chosen.
 TRIAL = "trial_"
-#: What starts the command ``physhdr`` with a number of threads and a file for its usage.
+#: Starts the command ``physhdr`` with a number of threads and a file for its usage.
 PROGRAM = (sys.executable, "-m", "physhdr.lab.benchmark.child")
 LINES_KEPT = 15
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -49,14 +49,14 @@ ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """``work``: a folder beside ``final``, which it becomes. When it vanishes, the job ends without a result.
+    """``work``: a folder beside ``final``, which it becomes. If it vanishes, the job ends without a result.
 
-    ``train``: words for ``physhdr train`` but for folder and iterations; ``config`` what they must come to.
-    ``iterations``: None where they are to be found for ``seconds`` of CPU time, from ``known`` if not None.
-    ``record``: the run's record but for what training tells. ``only_evaluate``: ``final`` is trained.
-    ``trained``: ``work`` is, by a command that could not put it in place; ``record`` is the whole record.
-    ``pictures``: what another program made is evaluated, and nothing trained.
-    ``alone``: no other command can be at this run, so that the next takes up a training in ``work``.
+    ``train``: arguments of ``physhdr train``, without folder and iterations; ``config``: what they amount to.
+    ``iterations``: None if they have to be found for ``seconds`` of CPU time, from ``known`` if not None.
+    ``record``: the run's record, without what training reports. ``only_evaluate``: ``final`` is trained.
+    ``trained``: ``work`` is, by a command that could not put it in place; ``record`` is complete.
+    ``pictures``: another program's pictures, which are evaluated; nothing is trained.
+    ``alone``: no other command can work on this run, so that the next one reuses a training in ``work``.
     """
 
     final: Path
@@ -77,7 +77,7 @@ class Job:
 
 
 class _FailedError(Exception):
-    """A process failed: at which stage, with which status, and why if it did not say so itself."""
+    """A process failed: at which stage, with which status, and why if it did not report that itself."""
 
     def __init__(self, stage: str, status: int, why: str = "") -> None:
         super().__init__(stage, status, why)
@@ -85,9 +85,9 @@ class _FailedError(Exception):
 
 
 def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcome:
-    """Do the job; whatever happens, its processes have ended afterwards.
+    """Do the job; its processes have ended afterwards, whatever happens.
 
-    Where results cannot be written (a full disk, a file in the way) it has failed without a ``failed.json``.
+    If results cannot be written (a full disk, a file in the way), it fails without a ``failed.json``.
     A training that has ended by then stays in ``work`` if the job is ``alone``.
     """
     try:
@@ -100,30 +100,30 @@ def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcom
         outcome = Outcome("stopped")
     except (OSError, PhysHDRError) as error:
         gone = isinstance(error, FileNotFoundError) and not job.work.exists()
-        outcome = Outcome("stopped") if gone else Outcome("failed", _told(job, error))
+        outcome = Outcome("stopped") if gone else Outcome("failed", _why(job, error))
     remove_work(job)
     return outcome
 
 
 def remove_work(job: Job) -> None:
-    """Remove its working folder, unless that holds a training that the next command takes up."""
-    if not _is_kept(job):
+    """Remove its working folder, unless that holds a training that the next command can reuse."""
+    if not _is_reusable(job):
         shutil.rmtree(job.work, ignore_errors=True)
 
 
-def _is_kept(job: Job) -> bool:
-    """Whether ``work`` holds a training that the next command takes up."""
+def _is_reusable(job: Job) -> bool:
+    """Whether ``work`` holds a training that the next command can reuse."""
     return job.alone and holds_training(job.work)
 
 
-def _told(job: Job, error: OSError | PhysHDRError) -> str:
-    """Why the job failed, in one line, and where the training is if it is kept."""
+def _why(job: Job, error: OSError | PhysHDRError) -> str:
+    """Why the job failed, in one line, and where its training is if that can be reused."""
     line = str(error).splitlines()[0]
-    if not _is_kept(job):
+    if not _is_reusable(job):
         return line
     return (
-        f"{line}; its training is kept in {job.work}: close what uses the folder or make room, and give the "
-        "same command again, which only evaluates it"
+        f"{line}; its training is in {job.work}: close what uses the folder or free some space, then repeat "
+        "the command, which will only evaluate it"
     )
 
 
@@ -136,7 +136,7 @@ def _failed(job: Job, error: _FailedError) -> Outcome:
         training=job.record.training,
         evaluation=job.record.evaluation,
     )
-    if job.only_evaluate:  # the training in its place is good
+    if job.only_evaluate:  # the training already in place is good
         patiently(partial(_add_log, job.work, job.final))
         write_json(job.final / FAILED_FILE, failure)
         shutil.rmtree(job.work, ignore_errors=True)
@@ -149,7 +149,7 @@ def _failed(job: Job, error: _FailedError) -> Outcome:
 def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
     if job.pictures is not None:
         _measure(job, job.pictures, should_stop)
-        (job.work / USAGE_FILE).unlink(missing_ok=True)  # what evaluating them needed is none of their cost
+        (job.work / USAGE_FILE).unlink(missing_ok=True)  # evaluating them is not part of their cost
         put_in_place(job.work, job.final)
         return Outcome("done")
     if job.only_evaluate:
@@ -162,12 +162,12 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
         shutil.rmtree(job.work, ignore_errors=True)
         return Outcome("done")
     record, search = (job.record, None) if job.trained else _trained(job, should_stop)
-    # Before the record, which only counts with the search that found its iterations.
+    # Before the record, which is valid only with the search that found its iterations.
     if search is not None:
         write_json(job.final.parent / SEARCH_FILE, search)
-    # Before the evaluation: where that fails, the training need not be repeated.
+    # Before the evaluation: if that fails, the training need not be repeated.
     write_json(job.work / RUN_FILE, record)
-    (job.work / FAILED_FILE).unlink(missing_ok=True)  # of an evaluation that is repeated
+    (job.work / FAILED_FILE).unlink(missing_ok=True)  # of the evaluation that is now repeated
     _physhdr(job, ["evaluate", job.work, *job.evaluate], should_stop)
     (job.work / USAGE_FILE).unlink(missing_ok=True)
     put_in_place(job.work, job.final)
@@ -175,24 +175,24 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
 
 
 def _add_log(work: Path, final: Path) -> None:
-    """Put what an evaluation printed below what its training did."""
+    """Append what an evaluation printed to what its training printed."""
     with open(final / RUN_LOG, "ab") as log:
         log.write((work / RUN_LOG).read_bytes())
 
 
 def _measure(job: Job, pictures: Path, should_stop: Callable[[], bool]) -> None:
-    """Evaluate another program's pictures; what they cost is as the file beside them says."""
+    """Evaluate another program's pictures; their cost is read from the file beside them."""
     try:
         cost = read_cost(pictures)
     except PhysHDRError as error:
         raise _FailedError("evaluate", 1, error.message) from error
     write_json(job.work / RUN_FILE, replace(job.record, **cost))
-    words = ["evaluate", "--pictures", pictures, "--data", job.data, "--out", job.work, *job.evaluate]
-    _physhdr(job, words, should_stop)
+    arguments = ["evaluate", "--pictures", pictures, "--data", job.data, "--out", job.work, *job.evaluate]
+    _physhdr(job, arguments, should_stop)
 
 
 def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search | None]:
-    """Train as often as the budget asks for; the training that was nearest to it stays in ``job.work``."""
+    """Train as often as the budget requires; the training nearest to it stays in ``job.work``."""
     if job.iterations is not None:
         return _train(job, job.work, job.iterations, should_stop), None
     known, measurements = job.known, []
@@ -228,18 +228,18 @@ def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search 
 
 
 def _train(job: Job, folder: Path, iterations: int, should_stop: Callable[[], bool]) -> Record:
-    words = ["train", job.data, "--out", folder, "--overwrite", *job.train, "--iterations", iterations]
+    arguments = ["train", job.data, "--out", folder, "--overwrite", *job.train, "--iterations", iterations]
     compared = False
 
     def look() -> bool:
-        """What will be trained is compared as soon as it is written, not only when it has been."""
+        """Compare the configuration as soon as it is written, not only after training."""
         nonlocal compared
         if not compared and _json(folder / CONFIG_FILE):
             compared = True
             _require_config(job, folder, iterations)
         return should_stop()
 
-    _physhdr(job, words, look)
+    _physhdr(job, arguments, look)
     finished, gaussians = _events(folder / LOG_FILE)
     if finished is None or finished["stopped"]:
         raise _FailedError("train", 0, "training ended before its last iteration")
@@ -257,16 +257,16 @@ def _train(job: Job, folder: Path, iterations: int, should_stop: Callable[[], bo
 
 
 def _require_config(job: Job, folder: Path, iterations: int) -> None:
-    """The fingerprint stands for ``job.config``: what was trained must be that."""
+    """Fail unless ``job.config`` was trained, because the fingerprint stands for it."""
     written = _json(folder / CONFIG_FILE).get("config", {})
     if found := differences(job.config | {"iterations": iterations}, written):
-        why = f"the code or the data changed meanwhile: {CONFIG_FILE} is not what the plan came to: "
+        why = f"the code or the data changed meanwhile: {CONFIG_FILE} differs from the plan's: "
         why += "; ".join(found)
         raise _FailedError("train", 0, why)
 
 
 def _events(path: Path) -> tuple[dict[str, Any] | None, int]:
-    """The last ``finished`` event, and the last number of Gaussians that was told."""
+    """The last ``finished`` event, and the last number of Gaussians that was reported."""
     finished, gaussians = None, 0
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         event = json.loads(line)
@@ -279,12 +279,12 @@ def _events(path: Path) -> tuple[dict[str, Any] | None, int]:
 # ---- processes -------------------------------------------------------------------------------------------
 
 
-def _physhdr(job: Job, words: list[Any], should_stop: Callable[[], bool]) -> None:
+def _physhdr(job: Job, arguments: list[Any], should_stop: Callable[[], bool]) -> None:
     """Run one command to its end; raises ``_FailedError`` or ``StoppedError``."""
-    command = [*job.program, job.record.threads, job.work / USAGE_FILE, *words]
+    command = [*job.program, job.record.threads, job.work / USAGE_FILE, *arguments]
     count = str(job.record.threads)
     with open(job.work / RUN_LOG, "ab") as log:
-        log.write(f"$ physhdr {' '.join(str(word) for word in words)}\n".encode())
+        log.write(f"$ physhdr {' '.join(str(word) for word in arguments)}\n".encode())
     status = run_to_end(
         [str(word) for word in command],
         job.work / RUN_LOG,
@@ -292,7 +292,7 @@ def _physhdr(job: Job, words: list[Any], should_stop: Callable[[], bool]) -> Non
         {name: count for name in THREAD_VARIABLES} | {"PYTHONUNBUFFERED": "1"},
     )
     if status:
-        raise _FailedError(str(words[0]), status)
+        raise _FailedError(str(arguments[0]), status)
 
 
 def _last_lines(path: Path) -> list[str]:

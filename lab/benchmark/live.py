@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A benchmark's progress in the terminal: methods × scenes, one table for each budget and setting at work."""
+"""A benchmark's progress in the terminal: methods × scenes, a table for each budget and setting at work."""
 
 from collections import Counter
 
@@ -24,7 +24,7 @@ STYLES = {
 
 
 def progress_table(schedule: Schedule) -> Group:
-    """For ``rich.live.Live``. A cell has one item a seed: waiting, how far, PSNR of LDR-OE, or failed."""
+    """For ``rich.live.Live``. A cell has one item a seed: waiting, progress, PSNR of LDR-OE, or failed."""
     plan = schedule.store.plan
     shown = []
     for budget in plan.budgets:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""On what and with what a run was computed: CPU seconds mean something on one kind of machine only."""
+"""The machine and versions that computed a run: CPU seconds are comparable on one kind of machine only."""
 
 import os
 import platform
@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[2]
 
 
 def this_machine() -> dict[str, Any]:
-    """``host``, ``cpu``, ``cores``, ``memory`` (bytes), ``system``, ``versions`` of where this process is."""
+    """``host``, ``cpu``, ``cores``, ``memory`` (bytes), ``system``, ``versions`` of this machine."""
     return {
         "host": platform.node(),
         "cpu": _processor(),
@@ -35,9 +35,9 @@ def _versions() -> dict[str, str]:
 
 
 def _revision() -> str:
-    """The commit, with + where files differ from it; the package's version where it is no checkout.
+    """The commit, with + if files differ from it; the package's version if this is not a checkout.
 
-    A repository that the package merely lies in, such as that of an environment's owner, says nothing of it.
+    A repository that merely contains the package, such as that of an environment's owner, does not count.
     """
 
     def git(*words: str) -> str:

@@ -3,7 +3,7 @@
 
 Claims generalise over scenes, while seeds are chance. So a scene's differences are first averaged over its
 seeds, and the interval is Student's over the scenes, which includes both kinds of spread. Several scenes of
-one room say little more about other rooms than one of them: they are averaged, too, and the interval is over
+one room say little more about other rooms than one of them: they are averaged too, and the interval is over
 the rooms.
 """
 
@@ -22,7 +22,7 @@ JUDGED = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.
 #: The probability that an interval contains the mean difference.
 CONFIDENCE = 0.95
 
-Standing = Literal["ahead", "behind", "not told apart", "one run"]
+Standing = Literal["ahead", "behind", "undecided", "one run"]
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class Margin:
 
     @property
     def standing(self) -> Standing:
-        """*ahead* if all of the interval is on the better side of 0."""
+        """*ahead* if all of the interval is on the better side of 0; *undecided* if it contains 0."""
         if self.interval is None:
             return "one run"
         low, high = (-self.interval[1], -self.interval[0]) if self.lower_is_better else self.interval
-        return "ahead" if low > 0.0 else "behind" if high < 0.0 else "not told apart"
+        return "ahead" if low > 0.0 else "behind" if high < 0.0 else "undecided"
 
 
 def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) -> Margin | None:
-    """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None if no run can be paired."""
+    """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None if no runs can be paired."""
     each = column(key)
     ours, theirs = _by_run(entries, method, each), _by_run(entries, other, each)
     of_scene: dict[str, list[float]] = {}
@@ -66,7 +66,7 @@ def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) ->
     for scene, seeds in of_scene.items():
         of_room.setdefault(room_of[scene], []).append(statistics.fmean(seeds))
     rooms = [statistics.fmean(scenes) for scenes in of_room.values()]
-    levels = (rooms, *of_room.values(), *of_scene.values())  # of one room or scene the next tells
+    levels = (rooms, *of_room.values(), *of_scene.values())  # with one room or scene, the next level decides
     interval = _interval(next((values for values in levels if len(values) > 1), rooms))
     return Margin(
         mean=statistics.fmean(rooms),

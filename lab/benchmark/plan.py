@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a benchmark runs: ``plan.toml``, or the same from flags; kept in the benchmark's folder.
+"""What a benchmark runs: ``plan.toml``, or the same from flags; stored in the benchmark's folder.
 
 kind = "report"                                           # or "tune": choices are made on validation views
 methods = ["default", "baseline", "dim := default backbone.threshold=4e-4"]
@@ -8,13 +8,13 @@ settings = ["exp3", "exp1"]
 seeds = [0, 1, 2]
 budgets = ["iterations=1000", "cpu-seconds=60"]
 set = ["downscale=2"]                                     # for every method
-margins_of = ["default"]                                  # whose lead over the others is reported
+margins_of = ["default"]                                  # methods whose lead over the others is reported
 note = "What the figures do not show."                    # stands at the top of the report
-open_sealed = true                                        # a report may have sealed scenes (roles.py)
+open_sealed = true                                        # a report may include sealed scenes (roles.py)
 [[ladder]]
 name = "ablation"
 steps = ["baseline", "dim", "default"]
-[[external]]                                              # a method of which only pictures are there
+[[external]]                                              # a method of which there are only pictures
 name = "theirs"
 folder = "../results/theirs/{scene}/{setting}/seed_{seed}"  # of each run; {budget}, too
 """
@@ -44,22 +44,22 @@ SETTINGS = ("exp1", "exp3")
 TUNE, REPORT = "tune", "report"
 KINDS = (TUNE, REPORT)
 ITERATIONS, CPU_SECONDS = "iterations", "cpu-seconds"
-#: What stands for a run in the name of an external method's folder; a budget as its own folder is called.
+#: What identifies a run in the name of an external method's folder; a budget by the name of its own folder.
 PLACEHOLDERS = ("scene", "setting", "seed", "budget")
 #: Names become folders, on any system: Windows drops a last dot, and has devices of these names.
 NAME = re.compile(r"[A-Za-z0-9†+_](?:[A-Za-z0-9†+_.-]*[A-Za-z0-9†+_-])?")
 DEVICE = re.compile(r"(?:con|prn|aux|nul|(?:com|lpt)[0-9])(?:\..*)?", re.IGNORECASE)
 #: Settings that the benchmark itself sets for each run.
 OURS = ("iterations", "seed", "exposure_mode")
-#: Settings of how pictures are read: options of ``physhdr evaluate``, too.
+#: Settings of how pictures are read; also options of ``physhdr evaluate``.
 OF_PICTURES = ("downscale", "color_space")
 
 
 @dataclass(frozen=True)
 class Method:
-    """A preset under a name, with settings on top (``NAME=VALUE``); or pictures of another program.
+    """A preset under a name, with settings on top (``NAME=VALUE``); or another program's pictures.
 
-    ``pictures``: the folder of each run's, with ``PLACEHOLDERS`` in its name; empty where we train it.
+    ``pictures``: the folder of each run's, with ``PLACEHOLDERS`` in its name; empty if we train it.
     """
 
     name: str
@@ -97,14 +97,14 @@ class Method:
         for word in re.findall(r"\{(\w*)\}", folder):
             if word not in PLACEHOLDERS:
                 raise BadValueError(
-                    f"the folder of '{name}' has {{{word}}}, which a plan does not know",
+                    f"the folder of '{name}' has the unknown placeholder {{{word}}}",
                     f"Choose from {', '.join(f'{{{each}}}' for each in PLACEHOLDERS)}.",
                 )
         return cls(_name(name, "method"), "", pictures=os.path.abspath(beside / os.path.expanduser(folder)))
 
     @property
     def place(self) -> Path | None:
-        """The folder in which all of an external method's lie; None of a method that we train."""
+        """The folder that contains all of an external method's; None for a method that we train."""
         return Path(os.path.dirname(self.pictures.partition("{")[0])) if self.pictures else None
 
     def pictures_of(self, values: Mapping[str, object]) -> Path:
@@ -182,11 +182,11 @@ class Ladder:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Everything that decides what is run and told. Names are unique in each list, and no list is empty.
+    """Everything that decides what is run and reported. Names are unique in each list, and no list is empty.
 
     ``assignments``: of ``--set``, for every method. ``note``: a paragraph in Markdown for the top of the
     report. ``kind``: ``tune``, which sees no test view, or ``report``. ``open_sealed``: whether a report may
-    have sealed scenes.
+    include sealed scenes.
     """
 
     methods: tuple[Method, ...]
@@ -216,7 +216,7 @@ class Plan:
         if unknown := [setting for setting in self.settings if setting not in SETTINGS]:
             raise BadValueError(f"there is no setting '{unknown[0]}'", "Choose from exp1, exp3.")
         whole("--threads-per-job", self.threads_per_job, 1, THREADS_MAX)
-        _ = self.reading  # raises where a size is no number
+        _ = self.reading  # raises if a size is not a number
         steps = [step for ladder in self.ladders for step in ladder.steps]
         for name in [*self.margins_of, *steps]:
             if name not in names:
@@ -226,22 +226,22 @@ class Plan:
                 raise BadValueError(f"the ladder '{ladder.name}' has fewer than two steps")
         several = {"scene": self.scenes, "setting": self.settings, "seed": self.seeds}
         for method in self.methods:
-            # Else one result would count as many, and as many seeds without any spread.
+            # Otherwise one result would count as several, and as several seeds without any spread.
             for word, values in several.items() if method.pictures else ():
                 if len(values) > 1 and f"{{{word}}}" not in method.pictures:
                     raise BadValueError(
                         f"the plan has {len(values)} {word}s, the folder of '{method.name}' no {{{word}}}",
-                        "Put it into the folder's name; of folders that are not there the report tells.",
+                        "Put it into the folder's name; the report lists folders that do not exist.",
                     )
 
     @property
     def trained(self) -> tuple[Method, ...]:
-        """The methods but for those of which only pictures are there."""
+        """The methods that we train."""
         return tuple(method for method in self.methods if not method.pictures)
 
     @property
-    def words_of_pictures(self) -> tuple[str, ...]:
-        """What ``physhdr evaluate --pictures`` is told so that it evaluates at the size of all runs."""
+    def picture_options(self) -> tuple[str, ...]:
+        """The options of ``physhdr evaluate --pictures`` with which it evaluates at the size of all runs."""
         values = self._values
         return tuple(word for name in OF_PICTURES if name in values for word in (option(name), values[name]))
 
@@ -249,7 +249,7 @@ class Plan:
     def reading(self) -> tuple[float | None, str | None]:
         """How every data set is read: ``downscale`` and ``color_space``; None: as its layout and files say.
 
-        Raises ``BadValueError`` where the first is no number.
+        Raises ``BadValueError`` if the first is not a number.
         """
         downscale, color_space = (self._values.get(name, "none") for name in OF_PICTURES)
         try:
@@ -262,7 +262,7 @@ class Plan:
 
     @property
     def _values(self) -> dict[str, str]:
-        """What is assigned for every method, as it is written, by setting."""
+        """What is assigned for every method, as written, by setting."""
         return {setting_in(text): text.partition("=")[2].strip() for text in self.assignments}
 
     @property
@@ -271,11 +271,11 @@ class Plan:
         return data_set.VALIDATION if self.kind == TUNE else data_set.TEST
 
     def settings_of(self, method: Method) -> tuple[str, ...]:
-        """``NAME=VALUE`` of a method, whatever the run."""
+        """``NAME=VALUE`` of a method, the same for every run."""
         return (*self.assignments, *method.assignments)
 
-    def words_of(self, method: Method) -> tuple[str, ...]:
-        """The options of ``physhdr train`` for a method, whatever the run."""
+    def training_options(self, method: Method) -> tuple[str, ...]:
+        """The options of ``physhdr train`` for a method, the same for every run."""
         settings = self.settings_of(method)
         return ("--preset", method.preset, *(word for each in settings for word in ("--set", each)))
 
@@ -286,7 +286,7 @@ def setting_in(assignment: str) -> str:
 
 
 def _require_assignment(text: str, what: str) -> None:
-    """Raises ``BadValueError``, which begins with ``what``, for all but ``NAME=VALUE`` of a method."""
+    """Raises ``BadValueError``, which begins with ``what``, unless it is ``NAME=VALUE`` of a method."""
     if "=" not in text or not setting_in(text) or setting_in(text) in OURS:
         raise BadValueError(
             what, f"It takes NAME=VALUE, such as downscale=2; the plan itself says {', '.join(OURS)}."
@@ -294,9 +294,9 @@ def _require_assignment(text: str, what: str) -> None:
 
 
 def _assignment(text: str) -> str:
-    """``NAME=VALUE`` for every method, in which quotes keep a value with spaces together.
+    """``NAME=VALUE`` for every method; quotes hold a value with spaces together.
 
-    Raises ``BadValueError`` as ``_require_assignment``, and for a quote that is left open.
+    Raises ``BadValueError`` as ``_require_assignment`` does, and for an unclosed quote.
     """
     _require_assignment(text, f"--set {text} cannot be used")
     try:
@@ -308,9 +308,9 @@ def _assignment(text: str) -> str:
 
 
 def _words(text: str) -> list[str]:
-    """As a shell splits them, quotes and all, but for # and \\, which a path may have.
+    """As a shell splits them, quotes included, except # and \\, which a path may contain.
 
-    What ``shlex.join`` wrote is read back, since it only quotes. Raises ``ValueError`` for an open quote.
+    It reads what ``shlex.join`` wrote, which only quotes. Raises ``ValueError`` for an unclosed quote.
     """
     words = shlex.shlex(text, posix=True, punctuation_chars=False)
     words.whitespace_split, words.commenters, words.escape = True, "", ""
@@ -383,7 +383,7 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 
 def write_plan(plan: Plan, path: Path) -> None:
-    """``plan.toml`` of which ``read_plan`` and ``make_plan`` make the same plan; raises ``OutputError``."""
+    """``plan.toml`` from which ``read_plan`` and ``make_plan`` make the same plan; raises ``OutputError``."""
     rows: dict[str, Any] = {
         "kind": plan.kind,
         "methods": [str(method) for method in plan.trained],
@@ -418,19 +418,19 @@ def write_plan(plan: Plan, path: Path) -> None:
 
 def _texts(value: Any) -> list[str]:
     if isinstance(value, str) or not all(isinstance(text, str) for text in value):
-        raise TypeError("a list of texts is wanted")
+        raise TypeError("expected a list of texts")
     return list(value)
 
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise TypeError("a whole number is wanted")
+        raise TypeError("expected a whole number")
     return value
 
 
 def _yes_or_no(value: Any) -> bool:
     if not isinstance(value, bool):
-        raise TypeError("true or false is wanted")
+        raise TypeError("expected true or false")
     return value
 
 
@@ -452,11 +452,11 @@ def _require_unique(what: str, names: Iterable[object], remedy: str) -> None:
     texts = [str(name) for name in names]
     if not texts:
         raise BadValueError(f"the plan has no {what}", remedy)
-    # Names become folders, and on Windows and macOS case makes no other one.
+    # Names become folders, and on Windows and macOS names that differ only in case are the same folder.
     folder, count = Counter(text.casefold() for text in texts).most_common(1)[0]
     alike = list(dict.fromkeys(text for text in texts if text.casefold() == folder))
     if len(alike) > 1:
         both = "' and '".join(alike)
         raise BadValueError(f"the plan's {what}s '{both}' differ only in case, and names are folders", remedy)
     if count > 1:
-        raise BadValueError(f"the plan has {count} times the {what} '{alike[0]}'", remedy)
+        raise BadValueError(f"the plan has the {what} '{alike[0]}' {count} times", remedy)

@@ -30,29 +30,27 @@ PERCEIVED = tuple(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for n
 RELIGHTING = ("relit.psnr", "relit.gain")
 COSTS = ("cost.cpu_seconds", "cost.seconds", "cost.iterations", "cost.gaussians", "cost.memory_MB")
 TABLES = {"": QUALITY, "LPIPS": PERCEIVED, "Relighting": RELIGHTING, "Cost": COSTS}
-#: What is told again for each scene, and for each length of training where a plan has several.
+#: What is repeated for each scene, and for each length of training if a plan has several.
 MOST = (
     *("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips"),
     *(*SCALE, "response", "relit.psnr"),
 )
 SCENE_METRICS = (*MOST, "cost.cpu_seconds", "cost.iterations", "cost.gaussians")
 OF_LENGTH = (*MOST, "cost.cpu_seconds", "cost.gaussians")
-#: What stands in a row of CSV beside what names the run.
+#: What a row of the CSV has beside what names the run.
 CSV_METRICS = (
     *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR", "HDR-aligned") for name in ("psnr", "ssim")),
     *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("lpips", "lpips_01")),
     *("scale", "response", "relit.psnr", "relit.gain"),
 )
 LOG_LINES = 6
-#: Where the code lies.
+#: Where the code is.
 PACKAGE = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that is done, and what the tables take of it. ``gaussians``: None of a method without, and where
-    nobody has told.
-    """
+    """A run that is done, and what tables use of it. ``gaussians``: None for a method without, or unknown."""
 
     run: Run
     record: Record
@@ -71,13 +69,13 @@ def finished_runs(schedule: Schedule) -> list[Finished]:
         if schedule.status[run].kind != "done" or record is None or evaluation is None:
             continue
         gaussians = schedule.store.gaussians(run)
-        told = {
+        costs = {
             "cpu_seconds": record.cpu_seconds,
             "seconds": record.seconds,
             "iterations": record.iterations,
             "gaussians": gaussians,
         }
-        cost = {name: float(value) for name, value in told.items() if value is not None}
+        cost = {name: float(value) for name, value in costs.items() if value is not None}
         if record.peak_memory:
             cost["memory_MB"] = record.peak_memory / 1e6
         names = run.method.name, run.scene.name, run.setting, run.seed
@@ -102,7 +100,7 @@ def write_report(schedule: Schedule, path: Path, command: str) -> list[Path]:
 
 
 def holds_runs(path: Path) -> bool:
-    """Whether a report that is there, by the CSV beside it, tells of any run."""
+    """Whether a report exists that has any run, by the CSV beside it."""
     table = path.with_suffix(".csv")
     return path.is_file() and table.is_file() and len(table.read_bytes().splitlines()) > 1
 
@@ -130,7 +128,7 @@ def to_csv(finished: Sequence[Finished]) -> str:
 
 
 def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, csv_name: str) -> str:
-    """The whole report, without the machine's paths. ``command``: what makes it again."""
+    """The whole report, without the machine's paths. ``command``: makes it again."""
     plan = schedule.store.plan
     title = "# Benchmark for tuning: validation views" if plan.kind == TUNE else "# Benchmark"
     parts = [title, _opening(schedule, finished, command, csv_name)]
@@ -164,9 +162,9 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
 
 
 def without_places(text: str, schedule: Schedule) -> str:
-    """``text`` in which no path says where on a machine things lay, for a report is read elsewhere.
+    """``text`` in which no path shows where on a machine things were, because a report is read elsewhere.
 
-    A data set is called by its name in the plan, the benchmark's folder ``OUT``, the checkout ``physhdr``,
+    A data set becomes its name in the plan, the benchmark's folder ``OUT``, the checkout ``physhdr``,
     the user's folder ``~``: in evaluations' messages, logs of runs that failed, options that name a file.
     """
     names = {scene.data: scene.name for scene in schedule.store.plan.scenes}
@@ -185,7 +183,7 @@ def without_places(text: str, schedule: Schedule) -> str:
 
 def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv_name: str) -> str:
     plan, total = schedule.store.plan, len(schedule.runs)
-    said = (
+    progress = (
         f"{len(finished)} of {total} runs are done."
         if len(finished) < total
         else f"All {total} runs are done."
@@ -199,7 +197,7 @@ def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv
     ]
     note = f"{plan.note.strip()}\n\n" if plan.note.strip() else ""
     return (
-        f"{note}Written by `{command}`; do not edit. {said} Every run is in [{csv_name}]({csv_name}).\n\n"
+        f"{note}Written by `{command}`; do not edit. {progress} Every run is in [{csv_name}]({csv_name}).\n\n"
         f"{' × '.join(factors)}."
     )
 
@@ -207,7 +205,7 @@ def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv
 def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
     plan = schedule.store.plan
     lines = [
-        "kind tune: every figure is of validation views; nothing of the test views was opened"
+        "kind tune: every figure is of validation views; no test view was opened"
         if plan.kind == TUNE
         else "kind report: every figure is of test views"
     ]
@@ -218,7 +216,7 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
             continue
         lines.append(
             f"budget {_in_words(budget)}: user and system time of the training, first points included. The "
-            "iterations that are enough come from the cost of whole runs of the method on the scene with the "
+            "iterations that fit come from the cost of whole runs of the method on the scene with the "
             "first seed (a "
             f"secant step where they miss it by more than {TOLERANCE:.0%}), never from quality; trials count "
             "for nothing else. The other seeds train as many iterations"
@@ -226,14 +224,14 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
         lines += _misses(budget, finished)
     lines.append(
         "CPU seconds are of the training alone, first points included, without evaluation, start, compiling "
-        "and the pictures by which progress is watched; seconds are on the clock, those pictures included"
+        "and the pictures that show progress; seconds are on the clock, those pictures included"
     )
     if plan.assignments:
         lines.append(f"for every method: `{' '.join(plan.assignments)}`")
     lines += [f"method {method.name}: `{method}`" for method in plan.methods if str(method) != method.name]
     lines += [
-        f"method {method.name}: pictures of another program, which were evaluated here; no budget bound it, "
-        "and what it cost is as its own files tell"
+        f"method {method.name}: another program's pictures, evaluated here; it was bound by no budget, "
+        "and its cost is what its own files report"
         for method in plan.methods
         if method.pictures
     ]
@@ -249,20 +247,20 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
 
 
 def _messages(finished: Sequence[Finished]) -> list[str]:
-    """What evaluations say beside their numbers: what was left out, what a method saw that others may not."""
-    said: dict[str, list[str]] = {}
+    """What evaluations report beside numbers: what they omit, what a method saw that others may not see."""
+    methods: dict[str, list[str]] = {}
     for each in finished:
         for message in each.entry.evaluation.get("messages", []):
-            said.setdefault(message, []).append(each.run.method.name)
+            methods.setdefault(message, []).append(each.run.method.name)
     everybody = {each.run.method.name for each in finished}
     return [
         message if set(names) == everybody else f"{', '.join(dict.fromkeys(names))}: {message}"
-        for message, names in said.items()
+        for message, names in methods.items()
     ]
 
 
 def _misses(budget: Budget, finished: Sequence[Finished]) -> list[str]:
-    """What has to be said of runs that did not come out at the budget."""
+    """Which runs missed the budget, and by how much."""
     lines = []
     chosen = [each for each in finished if each.run.budget == budget]
     for name in dict.fromkeys(each.run.method.name for each in chosen):
@@ -303,7 +301,7 @@ def _what_margins_are(leaders: Sequence[str]) -> str:
         "with the same seed (dB; of LPIPS less is better): the mean over scenes of the mean over seeds, in "
         f"brackets Student's interval of it ({CONFIDENCE:.0%}) by the scenes (of one scene by its seeds), "
         "and ± the standard deviation over the seeds of a scene. Several cameras in one room count as one "
-        "scene. *Ahead* or *behind*: 0 is not in the interval."
+        "scene. *Ahead* or *behind*: 0 is not in the interval; else *undecided*."
     )
 
 
@@ -334,7 +332,7 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[ComparedRun]) -> 
 
 
 def _of_which_rooms(entries: list[ComparedRun]) -> list[str]:
-    """What has to be said of intervals where several data sets are of one room."""
+    """What intervals are over if several data sets are of one room."""
     scenes = {entry.scene for entry in entries}
     rooms = {entry.room for entry in entries}
     if len(rooms) == len(scenes):
@@ -342,7 +340,7 @@ def _of_which_rooms(entries: list[ComparedRun]) -> list[str]:
     if len(rooms) > 1:
         return [f"{len(scenes)} data sets of {len(rooms)} rooms: means and intervals are over the rooms"]
     return [
-        f"{len(scenes)} data sets of one room: the intervals are over these and tell nothing of another room"
+        f"{len(scenes)} data sets of one room: the intervals are over these and say nothing about other rooms"
     ]
 
 
@@ -352,7 +350,7 @@ def _part(key: str) -> str:
 
 def _verdict(key: str, rivals: dict[str, dict[str, Margin | None]], wanted: int) -> str:
     """Over which of ``rivals`` a method is ahead in a column, by its margins of ``wanted`` pairs each."""
-    of_standing: dict[str, list[str]] = {"ahead": [], "not told apart": [], "behind": [], "one run": []}
+    of_standing: dict[str, list[str]] = {"ahead": [], "undecided": [], "behind": [], "one run": []}
     missing = []
     for name, found in rivals.items():
         each = found[key]
@@ -361,16 +359,16 @@ def _verdict(key: str, rivals: dict[str, dict[str, Margin | None]], wanted: int)
             missing.append(f"`{name}` ({pairs} of {wanted})")
         if each is not None:
             of_standing[each.standing].append(f"`{name}`")
-    words = {
+    phrases = {
         "ahead": "ahead of",
-        "not told apart": "not told apart from",
+        "undecided": "undecided against",
         "behind": "behind",
-        "one run": "of one run only, over",
+        "one run": "one run only, over",
     }
-    said = [f"{words[standing]} {', '.join(names)}" for standing, names in of_standing.items() if names]
+    parts = [f"{phrases[standing]} {', '.join(names)}" for standing, names in of_standing.items() if names]
     if missing:
-        said.append(f"pairs are missing: {', '.join(missing)}")
-    return f"{_part(key)}: {'; '.join(said)}"
+        parts.append(f"pairs are missing: {', '.join(missing)}")
+    return f"{_part(key)}: {'; '.join(parts)}"
 
 
 def _margin_cells(key: str, each: Margin | None) -> list[str]:
@@ -450,7 +448,7 @@ def _steps(ladder: Ladder, entries: list[ComparedRun]) -> str:
 
 
 def _mean_cell(runs: list[ComparedRun], key: str, most: int) -> str:
-    """The mean over the scenes of all data sets; of fewer runs than ``most``, it says of how many."""
+    """The mean over the scenes of all data sets, with the number of runs if it is less than ``most``."""
     if not runs:
         return NONE
     table = comparison_table(runs, metrics=[key], group=("setting",), published=False, keep_empty=True)
@@ -461,7 +459,7 @@ def _mean_cell(runs: list[ComparedRun], key: str, most: int) -> str:
     return f"{column(key).text(cell.mean)}{partly}"
 
 
-# ---- what is not there -------------------------------------------------------------------------------------
+# ---- what is missing --------------------------------------------------------------------------------------
 
 
 def _missing(schedule: Schedule, budget: Budget, setting: str) -> str:

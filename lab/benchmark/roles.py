@@ -11,7 +11,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.regular import read_json_object, resolved
 from .plan import TUNE, Plan, SceneFolder
 
-#: Choices are made on it · run when a choice is made (see ``WHAT_REPORTED``) · opened once, at the end.
+#: Choices are made on it · run when a choice is made (see ``OF_REPORTS``) · opened once, at the end.
 TUNING, HELD_OUT, SEALED = "tuning", "held-out", "sealed"
 ROLES = {
     "interior": TUNING,
@@ -25,7 +25,7 @@ ROLES = {
     "desk": SEALED,
 }
 
-WHAT_REPORTED = {
+OF_REPORTS = {
     TUNING: "choices were made on their validation views, and before they had any on their test views: the "
     "figures are no proof of a choice",
     HELD_OUT: "no rate, threshold or default was chosen on their standard data sets; reports on `bear`, "
@@ -40,7 +40,7 @@ def role_of(data: Path) -> str:
     """The role of a data set's built-in scene; "" for any other.
 
     Recognised by its ``dataset.json``, or its substitute while the data set is unfinished, whatever the
-    folder's name; a user's own scene has a ``source`` there. Raises what reading that raises.
+    folder's name; a user's own scene has a ``source`` there. Raises what reading that file raises.
     """
     info = _info(data)
     maker = info.get("generator")
@@ -113,5 +113,5 @@ def role_lines(plan: Plan) -> list[str]:
     for scene in plan.scenes:
         if role := role_of(scene.data):
             names.setdefault(role, []).append(scene.name)
-    meaning = {TUNING: "this is what they are for"} if plan.kind == TUNE else WHAT_REPORTED
-    return [f"{role} scenes ({', '.join(of)}): {meaning[role]}" for role, of in names.items()]
+    remarks = {TUNING: "this is what they are for"} if plan.kind == TUNE else OF_REPORTS
+    return [f"{role} scenes ({', '.join(of)}): {remarks[role]}" for role, of in names.items()]

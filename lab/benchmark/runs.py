@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The runs of a plan, where each lies, and what of them is there.
+"""The runs of a plan, where each is stored, and which results exist.
 
 ``OUT/<budget>/<setting>/<scene>/<method>/seed_<n>/`` is the folder of ``physhdr train`` and ``evaluate``,
-with ``benchmark.log`` (what they printed) and ``run.json`` (``Record``), or ``failed.json``. It appears by a
-rename when all of it is there. ``search.json`` beside the seeds: the iterations of a budget in CPU seconds.
-Runs of a plan that tunes are in ``OUT/tune/`` instead: none is ever taken for one of a report.
+with ``benchmark.log`` (what they printed) and ``run.json`` (``Record``), or ``failed.json``. It appears by
+one rename when complete. ``search.json`` beside the seeds: the iterations of a budget in CPU seconds.
+Runs of a plan that tunes are in ``OUT/tune/`` instead, so that none is mistaken for one of a report.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ from .without_test import link_without_test, names_without_test
 
 RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
-#: Ends the name of a working folder's neighbour: the former result, while it is replaced.
+#: Suffix of a working folder's neighbour: the former result, while it is replaced.
 REPLACED = ".old"
 #: Fields of the configuration that the plan sets for each run.
 PER_RUN = ("iterations", "seed", "exposure_mode")
@@ -40,7 +40,7 @@ PER_RUN = ("iterations", "seed", "exposure_mode")
 POINTS_SETTING = "points_file"
 #: Renders from which a data set was made: neither training nor evaluation reads them.
 UNREAD = data_set.PASSES_FOLDER
-#: In a plan's folder for tuning: each data set without its test views.
+#: In the folder of a tuning plan: each data set without its test views.
 WITHOUT_TEST = "without-test"
 
 
@@ -67,7 +67,7 @@ class Run:
 
     @property
     def pictures(self) -> Path | None:
-        """Where another program is to put the pictures of this run; None of a method that we train."""
+        """Where another program puts the pictures of this run; None for a method that we train."""
         if not self.method.pictures:
             return None
         names = {"scene": self.scene.name, "setting": self.setting, "seed": self.seed}
@@ -75,17 +75,17 @@ class Run:
 
     @property
     def claim(self) -> str:
-        """The folder as one name, another for every run: ``a__b`` / ``c`` is not ``a`` / ``b__c``."""
+        """The folder as one name, different for every run: ``a__b`` / ``c`` is not ``a`` / ``b__c``."""
         return "__".join(re.sub("^_|_(?=_|$)", "~", part) for part in self.folder.parts)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What ``run.json`` holds of a run that is done: what it was, and what training alone cost.
+    """What ``run.json`` holds of a run that is done: what was run, and the cost of training alone.
 
     ``cpu_seconds``: user and system time of the training, first points included; ``seconds``: on the clock.
     ``gaussians``: at the end (0 for a method without). ``peak_memory``: bytes, of the training process. What
-    nobody has told of another program's pictures is None.
+    is unknown of another program's pictures is None.
     ``training``, ``evaluation``: fingerprints of all that decides the result. ``note``: for the report.
     """
 
@@ -104,7 +104,7 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """What ``search.json`` holds: the iterations that were found, and the measurements that say so."""
+    """What ``search.json`` holds: the iterations that were found, and the measurements behind them."""
 
     iterations: int
     training: str
@@ -126,10 +126,7 @@ class Failure:
 
 
 def has_gaussians(config: dict[str, Any]) -> bool:
-    """Whether the method of a configuration (as in ``config.json``) is made of Gaussians.
-
-    Early records of one that is not hold the number of its networks' parameters.
-    """
+    """Whether the method of a configuration (as in ``config.json``) is made of Gaussians."""
     return method_of(config.get("method", {})).traits.splats
 
 
@@ -137,7 +134,7 @@ State = Literal["done", "evaluate", "failed", "todo", "absent"]
 
 
 def runs_of(plan: Plan) -> list[Run]:
-    """All runs, in the order in which they are begun: what is needed first, and every method soon."""
+    """All runs, in the order in which they begin: what others need first, and every method soon."""
     budgets = sorted(plan.budgets, key=lambda budget: budget.kind == CPU_SECONDS)
     return [
         Run(budget, setting, scene, method, seed, plan.kind)
@@ -151,10 +148,10 @@ def runs_of(plan: Plan) -> list[Run]:
 
 @dataclass
 class Store:
-    """What is in the benchmark's folder, held against what the plan wants.
+    """What is in the benchmark's folder, compared with the plan.
 
-    ``configs``: by method that is trained and scene, their names, the whole configuration as JSON, at the
-    size that the data call for; ``data``: by scene, the data's fingerprint.
+    ``configs``: the whole configuration as JSON, at the size that the data require, by the names of a trained
+    method and a scene; ``data``: the data's fingerprint, by scene.
     """
 
     out: Path
@@ -173,14 +170,14 @@ class Store:
         return self.configs[run.method.name, run.scene.name]
 
     def training_fingerprint(self, run: Run) -> str:
-        """Of the configuration, but for what differs between a method's runs, of the data, and of a file of
-        points, which may lie elsewhere; without one it is what it was before there was that setting.
+        """Of what a method's runs share of the configuration, the data, and a file of points, which may be
+        elsewhere.
 
-        Of pictures of another program: of these, of the data, and of the size at which they are compared.
+        For another program's pictures: of these, the data, and the size at which they are compared.
         """
         if run.pictures is not None:
-            told = [self._digest_of(run.pictures), *self.plan.words_of_pictures]
-            return fingerprint(["pictures", told, self.data[run.scene.name]])
+            pictures = [self._digest_of(run.pictures), *self.plan.picture_options]
+            return fingerprint(["pictures", pictures, self.data[run.scene.name]])
         return self._fingerprint(self._config(run), run)
 
     def _fingerprint(self, config: dict[str, Any], run: Run) -> str:
@@ -191,7 +188,7 @@ class Store:
         return fingerprint(content)
 
     def _is_this_training(self, training: str, run: Run) -> bool:
-        """Whether a fingerprint is of this training, perhaps as it was before some setting was added."""
+        """Whether a fingerprint is of this training, perhaps from before some setting was added."""
         if training == self.training_fingerprint(run):
             return True
         if run.pictures is not None:
@@ -205,13 +202,13 @@ class Store:
         )
 
     def _digest(self, path: Path) -> str:
-        """Of a file as it was when this was first asked; "" where there is none: its training will say so."""
+        """Of a file when this was first called; "" if it is missing, which its training will report."""
         if path not in self._points:
             self._points[path] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         return self._points[path]
 
     def _digest_of(self, pictures: Path) -> str:
-        """As ``_digest``, of a folder."""
+        """As ``_digest``, for a folder."""
         if pictures not in self._points:
             self._points[pictures] = pictures_digest(pictures, self.plan.kind)
         return self._points[pictures]
@@ -221,36 +218,36 @@ class Store:
         return fingerprint(["evaluation", self.weights])
 
     def data_folder(self, scene: SceneFolder) -> Path:
-        """As ``data_folder``, of this plan."""
+        """As ``data_folder``, for this plan."""
         return data_folder(self.out, self.plan, scene)
 
-    # -- what is there -----------------------------------------------------------------------------------
+    # -- what exists -------------------------------------------------------------------------------------
 
     def record(self, run: Run, folder: Path | None = None) -> Record | None:
-        """The record of a run that is done, whichever the plan it was done for; in ``folder`` if given."""
+        """The record of a run that is done, for whichever plan; in ``folder`` if not None."""
         return _read(Record, (folder or self.out / run.folder) / RUN_FILE)
 
     def gaussians(self, run: Run) -> int | None:
-        """Of a run that is done; None of a method without, and where nobody has told."""
+        """Of a run that is done; None for a method without Gaussians, or if unknown."""
         record = self.record(run)
         if record is None or (run.pictures is None and not has_gaussians(self._config(run))):
-            return None  # early records of methods without Gaussians hold another number
+            return None
         return record.gaussians
 
     def failure(self, run: Run) -> Failure | None:
-        """How it failed, if it did as it would be done now."""
+        """How it failed, if what failed is what would be run now."""
         failure = _read(Failure, self.out / run.folder / FAILED_FILE)
         if failure is None or failure.evaluation != self.evaluation_fingerprint:
             return None
         return failure if self._is_this_training(failure.training, run) else None
 
     def evaluation(self, run: Run) -> dict[str, Any] | None:
-        """What ``physhdr evaluate`` wrote of it; None where that is not there, damaged or of other views."""
+        """What ``physhdr evaluate`` wrote about it; None if that is missing, damaged or of other views."""
         try:
             evaluation = load_evaluation(self.out / run.folder)
         except (FileMissingError, FileDamagedError):
             return None
-        # Whoever evaluates a run by hand may have chosen the other views.
+        # Somebody may have evaluated the run by hand, on other views.
         return evaluation if evaluation["conditions"].get("split") == self.plan.split else None
 
     def search(self, run: Run) -> Search | None:
@@ -262,21 +259,21 @@ class Store:
         return found if self._is_this_training(found.training, run) else None
 
     def iterations(self, run: Run) -> int | None:
-        """How many the run must have; None where they have to be found first."""
+        """How many the run must have; None if they have to be found first."""
         if run.budget.kind != CPU_SECONDS:
             return int(run.budget.amount)
         search = self.search(run)
         return search.iterations if search else None
 
     def is_trained(self, run: Run, folder: Path | None = None) -> bool:
-        """Whether its training is there, or in ``folder`` if given, as it would be done now."""
+        """Whether its training exists (in ``folder`` if not None) as it would be done now."""
         record = self.record(run, folder)
         if record is None or not self._is_this_training(record.training, run):
             return False
         return run.pictures is not None or record.iterations == self.iterations(run)
 
     def state(self, run: Run) -> State:
-        """``evaluate``: trained, but not evaluated as it would be now. ``absent``: no pictures are there."""
+        """``evaluate``: trained, but not evaluated as it would be now. ``absent``: without pictures."""
         if run.pictures is not None and not run.pictures.is_dir():
             return "absent"
         if self.failure(run):
@@ -289,7 +286,7 @@ class Store:
         return "done"
 
     def changes(self, run: Run) -> list[str]:
-        """Why a run that is there has to be done again; [] where there is none, or nothing changed."""
+        """Why an existing run has to be done again; [] if there is none, or nothing changed."""
         record = self.record(run)
         if record is None or (run.pictures and not run.pictures.is_dir()) or self.is_trained(run):
             return []
@@ -297,7 +294,7 @@ class Store:
             return ["its pictures, their costs or the data set"]
         config = _written_config(self.out / run.folder)
         if config is None:
-            return ["its configuration is gone"]
+            return ["its configuration is missing"]
         iterations = self.iterations(run)
         wanted = self.config(run, iterations or record.iterations or 0)
         found = differences(_completed(config) or _shared(config), _shared(wanted))
@@ -307,8 +304,8 @@ class Store:
 
 
 def data_folder(out: Path, plan: Plan, scene: SceneFolder) -> Path:
-    """What runs and reports are told of a data set: of a plan that tunes a folder without test views, which
-    is made in ``out``. Raises ``OutputError`` where it cannot be.
+    """The folder of a data set for runs and reports: for a plan that tunes, one without test views, which is
+    made in ``out``. Raises ``OutputError`` if it cannot be.
     """
     if plan.kind != TUNE:
         return scene.data
@@ -328,10 +325,10 @@ def write_json(path: Path, content: Record | Search | Failure) -> None:
 
 
 def put_in_place(work: Path, final: Path) -> None:
-    """Let a finished working folder become ``final``; what was there is gone afterwards.
+    """Let a finished working folder become ``final``, and remove what was there.
 
-    Raises ``OutputError`` where it cannot, as on Windows while a console stands in ``final`` or a file in it
-    is open; ``work`` and what was at ``final`` are then where they were.
+    Raises ``OutputError`` if it cannot, as on Windows while a console is in ``final`` or a file in it is
+    open; ``work`` and ``final`` are then as before.
     """
     old = work.with_name(f"{work.name}{REPLACED}")
     try:
@@ -340,17 +337,17 @@ def put_in_place(work: Path, final: Path) -> None:
         except OSError as error:
             if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
                 raise
-            _replace(final, work, old)  # with what another command has put there, where nothing can be locked
+            _replace(final, work, old)  # which another command put there, where nothing can be locked
     except OSError as error:
         raise OutputError(
             f"cannot put the result into {final}: {error.strerror or error}",
-            "Close every program and console that uses that folder, and give the command again.",
+            "Close every program and console that uses that folder, and repeat the command.",
         ) from error
     shutil.rmtree(old, ignore_errors=True)
 
 
 def _replace(final: Path, work: Path, old: Path) -> None:
-    """``work`` becomes ``final``, and what was there ``old``; back where that fails. Raises ``OSError``."""
+    """``work`` becomes ``final``, and ``final`` ``old``; undone if that fails. Raises ``OSError``."""
     if final.exists():
         patiently(partial(os.rename, final, old))
     try:
@@ -364,13 +361,13 @@ def _replace(final: Path, work: Path, old: Path) -> None:
 
 
 def holds_training(work: Path) -> bool:
-    """Whether a working folder is of a training that has ended: its record is written only then."""
+    """Whether a working folder has a training that has ended: its record is written only then."""
     whole = (work / RUN_FILE).is_file() and (work / CONFIG_FILE).is_file()
     return whole and not work.name.endswith(REPLACED)
 
 
 def _read(cls: type, path: Path) -> Any:
-    """What ``write_json`` wrote; None where there is nothing, or nothing of this version."""
+    """What ``write_json`` wrote; None if there is nothing, or nothing of this version."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content.pop("format"), content.pop("version")) != ("physhdr-benchmark", 1):
@@ -381,7 +378,7 @@ def _read(cls: type, path: Path) -> Any:
 
 
 def _written_config(folder: Path) -> dict[str, Any] | None:
-    """What ``config.json`` of a run says, as it is written; None where it says nothing."""
+    """The configuration in a run's ``config.json``, as written; None if it has none."""
     try:
         config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))["config"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -395,7 +392,7 @@ def _shared(config: dict[str, Any]) -> dict[str, Any]:
 
 
 def _completed(config: dict[str, Any]) -> dict[str, Any] | None:
-    """``_shared`` with what was added since then at its default; None of what is no configuration."""
+    """``_shared``, with defaults for settings added since; None if it is not a configuration."""
     try:
         return _shared(completed(config))
     except (ValueError, PhysHDRError):
@@ -414,7 +411,7 @@ def fingerprint(content: Any) -> str:
 def data_fingerprint(root: Path, kind: str = REPORT) -> str:
     """Of every file that a training or an evaluation of a plan of this ``kind`` could read.
 
-    Raises ``BadValueError`` for no files.
+    Raises ``BadValueError`` if there are no files.
     """
     if kind == TUNE:
         tops = [root / name for name in names_without_test(root)]
@@ -433,9 +430,9 @@ def data_fingerprint(root: Path, kind: str = REPORT) -> str:
 
 
 def _files_below(top: Path) -> Iterator[Path]:
-    """All that is no folder in ``top`` and below it, through links to folders as well, as readers open them.
+    """All files in ``top`` and below it, also through links to folders, because readers follow them.
 
-    A link to a folder that it lies in itself is not followed: it would never end.
+    A link to a folder that contains it is not followed: that would never end.
     """
     for place, folders, names in os.walk(top, followlinks=True):
         here = Path(place)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Has every run of a plan done that is not there: which next, who is at it, what became of it."""
+"""Does every run of a plan that has no result: which next, who is working on it, how it ended."""
 
 import contextlib
 import json
@@ -22,9 +22,9 @@ from .runs import Record, Run, Store, holds_training, runs_of
 from .search import Measurement
 
 CLAIMS_FOLDER = ".claims"
-#: Seconds between looks at what jobs do here, and at what other commands have done.
+#: Seconds between looks at the jobs here, and at those of other commands.
 LOOK_EVERY, LOOK_AROUND_EVERY = 0.25, 2.0
-#: Bytes from a log's end in which its last event lies.
+#: Bytes at a log's end that contain its last event.
 TAIL = 4096
 
 StatusKind = Literal["waiting", "running", "elsewhere", "done", "failed", "blocked", "absent"]
@@ -33,9 +33,9 @@ SETTLED = ("done", "failed", "blocked", "absent")
 
 @dataclass(frozen=True)
 class Status:
-    """What a user is told of a run. ``text``: why it failed or waits; ``psnr``: LDR-OE in dB when done.
+    """A run's status as shown. ``text``: why it failed or waits; ``psnr``: LDR-OE in dB when done.
 
-    ``absent``: another program's pictures are not there.
+    ``absent``: another program's pictures are missing.
     """
 
     kind: StatusKind
@@ -48,22 +48,22 @@ class Status:
 class Schedule:
     """The runs of ``store.plan`` and the status of each.
 
-    ``tell``: is given lines for the user. ``retry``: what failed is tried again. ``as_evaluated``: nothing
-    will be run, so that a run which was evaluated with other LPIPS weights, or without, counts as done.
-    ``program``: starts the command ``physhdr``; another one in tests alone.
+    ``log``: shows a line to the user. ``retry``: what failed is tried again. ``as_evaluated``: nothing will
+    be run, so that a run which was evaluated with other LPIPS weights, or without, counts as done.
+    ``program``: starts the command ``physhdr``; tests use another one.
     """
 
     def __init__(
         self,
         store: Store,
         *,
-        tell: Callable[[str], None],
+        log: Callable[[str], None],
         retry: bool = False,
         evaluate_again: bool = False,
         as_evaluated: bool = False,
         program: tuple[str, ...] = PROGRAM,
     ) -> None:
-        self.store, self.tell, self.program = store, tell, program
+        self.store, self.log, self.program = store, log, program
         self.runs = runs_of(store.plan)
         self.status: dict[Run, Status] = {}
         self._jobs: dict[Run, Job] = {}
@@ -74,14 +74,14 @@ class Schedule:
         for run in self.runs:
             self.status[run] = self._on_disk(run)
             if changes := store.changes(run):
-                tell(f"{run.folder}: to be done again, for {_listed(changes)}")
+                log(f"{run.folder}: to be done again; changed: {_listed(changes)}")
 
     # -- status ------------------------------------------------------------------------------------------
 
     def _on_disk(self, run: Run) -> Status:
         state = self.store.state(run)
         if state == "absent":
-            return Status("absent", f"{run.pictures} is not there")
+            return Status("absent", f"there is no folder {run.pictures}")
         if state in self._good and run not in self._evaluate_again:
             evaluation = self.store.evaluation(run)
             if evaluation is not None:
@@ -96,9 +96,9 @@ class Schedule:
 
     # -- the loop ----------------------------------------------------------------------------------------
 
-    def work_off(self, pool: Pool, show: Callable[[], None] = lambda: None) -> None:
-        """Until every run is done, failed or blocked by one that failed. ``show`` is called all the time."""
-        with Claims(self.store.out / CLAIMS_FOLDER, self.tell) as claims:
+    def do_all(self, pool: Pool, show: Callable[[], None] = lambda: None) -> None:
+        """Until every run is done, failed or blocked by one that failed. ``show`` is called regularly."""
+        with Claims(self.store.out / CLAIMS_FOLDER, self.log) as claims:
             try:
                 with pool:
                     looked = 0.0
@@ -139,11 +139,11 @@ class Schedule:
                 claims.release(run.claim)
 
     def _may_begin(self, run: Run) -> bool:
-        """Whether what it needs is there; sets it to blocked where that will never be."""
+        """Whether it has what it needs; sets it to blocked if it never will."""
         if run.pictures or run.budget.kind != CPU_SECONDS or self.store.search(run):
             return True
         searcher = replace(run, seed=self.store.plan.seeds[0])
-        if run == searcher:  # a run at equal iterations, where there is to be one, says what they cost
+        if run == searcher:  # a run at equal iterations, if one is planned, shows what they cost
             like = (run.setting, run.scene, run.method, run.seed)
             return all(
                 self.status[other].kind in SETTLED
@@ -157,13 +157,13 @@ class Schedule:
         return False
 
     def _look_around(self, claims: Claims) -> None:
-        """What others were at: done by now, or given up."""
+        """What other commands worked on: done by now, or abandoned."""
         for run in self.runs:
             if self.status[run].kind == "elsewhere" and not claims.is_taken(run.claim):
                 self.status[run] = self._on_disk(run)
 
     def _watch(self) -> None:
-        """How far running jobs are, from their logs."""
+        """The progress of running jobs, from their logs."""
         for run, job in self._jobs.items():
             logs = _logs(job.work)
             iteration, iterations = _progress(max(logs, key=_changed)) if logs else (0, 0)
@@ -171,10 +171,10 @@ class Schedule:
                 self.status[run] = Status("running", "", iteration, iterations)
 
     def _settle(self, run: Run, outcome: Outcome) -> None:
-        remove_work(self._jobs.pop(run))  # there only if the job's machine died, or to be put in place yet
-        if outcome.kind == "stopped":  # not by us, who settle nothing then: somebody removed its folder
+        remove_work(self._jobs.pop(run))  # exists only if the job's machine died, or if not yet put in place
+        if outcome.kind == "stopped":  # not by us, as we settle nothing then: somebody removed its folder
             self.status[run] = self._on_disk(run)
-            self.tell(f"{run.folder}: another command took it over")
+            self.log(f"{run.folder}: another command took over")
             return
         self._retry.discard(run)
         self._evaluate_again.discard(run)
@@ -184,25 +184,25 @@ class Schedule:
         if outcome.kind == "done" and status.kind == "done" and record:
             psnr = "" if status.psnr is None else f", LDR-OE {status.psnr:.2f} dB"
             cost = f"{record.iterations} iterations in {record.cpu_seconds or 0.0:.1f} CPU seconds"
-            self.tell(f"{run.folder}: done, {'evaluated' if run.pictures else cost}{psnr}")
+            self.log(f"{run.folder}: done, {'evaluated' if run.pictures else cost}{psnr}")
         else:
-            self.status[run] = Status("failed", outcome.message or "its results are not what was asked for")
-            self.tell(f"{run.folder}: {outcome.kind}: {self.status[run].text}")
+            self.status[run] = Status("failed", outcome.message or "its results are not those of the plan")
+            self.log(f"{run.folder}: {outcome.kind}: {self.status[run].text}")
 
     # -- one job -----------------------------------------------------------------------------------------
 
     def _job(self, run: Run, alone: bool) -> Job:
-        """``alone``: nobody else can be at this run, so that what is there of it is a dead process's."""
+        """``alone``: nobody else can be working on this run, so that what is left is a dead process's."""
         store, plan = self.store, self.store.plan
         final = store.out / run.folder
-        kept = self._kept(run) if alone else None
+        ended = self._ended_training(run) if alone else None
         evaluate = (
             *("--device", plan.device),
             *(("--split", plan.split) if plan.kind == TUNE else ()),
             *(("--lpips-weights", str(plan.lpips_weights)) if plan.lpips_weights else ()),
         )
         in_place = store.is_trained(run) and not run.pictures
-        done = store.record(run, kept) if kept or in_place else None
+        done = store.record(run, ended) if ended or in_place else None
         search = None if run.pictures else store.search(run)
         blank = Record(
             iterations=None,
@@ -217,7 +217,7 @@ class Schedule:
             note=search.note if search and run.budget.kind == CPU_SECONDS else "",
         )
         record = replace(done, evaluation=store.evaluation_fingerprint) if done else blank
-        work = kept or final.with_name(f".{final.name}-{secrets.token_hex(4)}")
+        work = ended or final.with_name(f".{final.name}-{secrets.token_hex(4)}")
         data = store.data_folder(run.scene)
         if run.pictures is not None:
             return Job(
@@ -225,7 +225,7 @@ class Schedule:
                 work=work,
                 data=data,
                 train=(),
-                evaluate=("--exposure-mode", run.setting, *plan.words_of_pictures, *evaluate),
+                evaluate=("--exposure-mode", run.setting, *plan.picture_options, *evaluate),
                 config={},
                 iterations=None,
                 record=record,
@@ -239,7 +239,7 @@ class Schedule:
             work=work,
             data=data,
             train=(
-                *plan.words_of(run.method),
+                *plan.training_options(run.method),
                 *("--seed", str(run.seed), "--exposure-mode", run.setting),
                 *("--threads", str(plan.threads_per_job), "--device", plan.device),
             ),
@@ -249,28 +249,28 @@ class Schedule:
             seconds=run.budget.amount if run.budget.kind == CPU_SECONDS else 0.0,
             known=None if iterations else self._known(run),
             record=record,
-            only_evaluate=done is not None and kept is None,
-            trained=kept is not None,
+            only_evaluate=done is not None and ended is None,
+            trained=ended is not None,
             alone=alone,
             program=self.program,
         )
 
-    def _kept(self, run: Run) -> Path | None:
-        """Where the run's training lies if it ended and could not be put in place; None where it is to be
-        done, or done. Whatever else dead processes left of the run is removed.
+    def _ended_training(self, run: Run) -> Path | None:
+        """The folder of a training that ended and could not be put in place; None if it is still to be done,
+        or done. Removes whatever else dead processes left of the run.
         """
         final = self.store.out / run.folder
         wanted = run.pictures is None and not self.store.is_trained(run)
-        kept = None
+        ended = None
         for left in sorted(final.parent.glob(f".{final.name}-*")):
-            if wanted and kept is None and holds_training(left) and self.store.is_trained(run, left):
-                kept = left
+            if wanted and ended is None and holds_training(left) and self.store.is_trained(run, left):
+                ended = left
             else:
                 shutil.rmtree(left, ignore_errors=True)
-        return kept
+        return ended
 
     def _known(self, run: Run) -> Measurement | None:
-        """What a done run of the same method on the same scene cost, the one nearest to the budget."""
+        """The cost of a finished run of the same method on the same scene, the one nearest to the budget."""
         found = []
         for other in self.runs:
             if (other.scene, other.method) != (run.scene, run.method) or self.status[other].kind != "done":
@@ -286,16 +286,16 @@ class Schedule:
 
 
 def _logs(work: Path) -> list[Path]:
-    """The logs in a job's folder, its trials' among them; none once its process has moved the folder away."""
+    """The logs in a job's folder and its trials'; none once its process has moved the folder away."""
     try:
         folders = [work, *(path for path in work.iterdir() if path.name.startswith(TRIAL))]
-    except OSError:  # it can go between any look and the next: Path.glob does not bear that either
+    except OSError:  # it can vanish at any moment, which Path.glob does not tolerate either
         return []
     return [log for folder in folders if (log := folder / LOG_FILE).exists()]
 
 
 def _changed(path: Path) -> float:
-    """When, on the file's clock; 0 where it is gone meanwhile."""
+    """When, on the file's clock; 0 if it has vanished meanwhile."""
     try:
         return path.stat().st_mtime
     except OSError:
@@ -303,15 +303,15 @@ def _changed(path: Path) -> float:
 
 
 def _progress(log: Path) -> tuple[int, int]:
-    """(iteration, iterations) of a run's last event; (0, 0) where nothing is told."""
+    """(iteration, iterations) of a run's last event; (0, 0) if there is none."""
     with contextlib.suppress(OSError, ValueError, KeyError, IndexError):
         with open(log, "rb") as file:
             file.seek(0, 2)
             file.seek(max(0, file.tell() - TAIL))
             lines = file.read().decode("utf-8", "replace").splitlines()
         events = [json.loads(line) for line in lines[-3:] if line.startswith("{")]
-        told = [event for event in events if "iterations" in event]
-        return int(told[-1]["iteration"]), int(told[-1]["iterations"])
+        progress = [event for event in events if "iterations" in event]
+        return int(progress[-1]["iteration"]), int(progress[-1]["iterations"])
     return 0, 0
 
 

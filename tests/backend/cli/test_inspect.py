@@ -96,7 +96,7 @@ def test_validation_views_and_both_floors_are_told(validation_data, tmp_path, ca
         "train 256, test 4096, val 4096 samples a pixel, two renders of a test view agree to 46.5, 47" in line
     )
     assert (
-        "the kept one and one without denoising to 48.5, 49 dB at the exposures, HDR 47.5 dB (65536" in line
+        "the stored one and one without denoising to 48.5, 49 dB at the exposures, HDR 47.5 dB (65536" in line
     )
     for name in [name for name in frames if not name.startswith("train")]:
         frames[name] = {"file": f"{name.partition('/')[0]}_hdr/hdr_000.exr", "kept": True}

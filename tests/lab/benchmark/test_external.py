@@ -57,7 +57,7 @@ def test_an_external_method_is_one_of_the_plans(file, tmp_path):
         theirs.pictures_of(values) == tmp_path / "of others" / "bath" / "exp1" / "seed_1" / "iterations-1000"
     )
     assert theirs.place == tmp_path / "of others"
-    assert plan.words_of_pictures == ("--downscale", "2")
+    assert plan.picture_options == ("--downscale", "2")
     write_plan(plan, tmp_path / "elsewhere" / "plan.toml")
     assert make_plan(read_plan(tmp_path / "elsewhere" / "plan.toml"), Path.cwd()) == plan
 
@@ -74,11 +74,11 @@ def test_a_plan_may_have_nothing_but_pictures(file, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("{budget}", "{method}", r"has \{method\}, which a plan does not know\n.*\{scene\}, \{setting\}"),
+        ("{budget}", "{method}", r"has the unknown placeholder \{method\}\n.*\{scene\}, \{setting\}"),
         ("seed_{seed}", "all", r"the plan has 2 seeds, the folder of 'theirs' no \{seed\}"),
         ("{setting}", "all", r"the plan has 2 settings, the folder of 'theirs' no \{setting\}"),
         ('folder = "../of', 'path = "../of', "an external method is a name and a folder"),
-        ('name = "theirs"', 'name = "default"', "2 times the method 'default'"),
+        ('name = "theirs"', 'name = "default"', "has the method 'default' 2 times"),
         ('name = "theirs"', 'name = "../x"', "cannot be the name of a method"),
         ("[[external]]", "[external]", "'external' cannot be read|an external method is a name and a folder"),
     ],
@@ -96,8 +96,8 @@ def test_what_an_external_method_cannot_be(file, old, new, said):
 
 def test_costs_are_taken_as_they_are_told(tmp_path):
     assert read_cost(tmp_path) == {}
-    told = {"cpu_seconds": 61.5, "seconds": 40, "iterations": 3000.0, "gaussians": None, "memory_MB": 900}
-    (tmp_path / "cost.json").write_text(json.dumps(told))
+    costs = {"cpu_seconds": 61.5, "seconds": 40, "iterations": 3000.0, "gaussians": None, "memory_MB": 900}
+    (tmp_path / "cost.json").write_text(json.dumps(costs))
     assert read_cost(tmp_path) == {
         "cpu_seconds": 61.5,
         "seconds": 40.0,
@@ -140,14 +140,14 @@ def test_pictures_are_known_by_what_evaluation_reads(tmp_path):
     assert pictures_digest(tmp_path, "tune") != tune
 
 
-# ---- evaluated once, and told ---------------------------------------------------------------------------
+# ---- evaluated once, and reported ------------------------------------------------------------------------
 
 
 class Bench:
     """A benchmark of ``quick`` and of pictures in ``of others``, whose plan a test changes."""
 
     def __init__(self, root: Path) -> None:
-        self.root, self.told = root, []
+        self.root, self.lines = root, []
         for name in ("day", "night"):
             (root / name).mkdir()
             (root / name / "data.json").write_text(name)
@@ -174,11 +174,11 @@ class Bench:
         trained = [(method.name, scene.name) for method in plan.trained for scene in plan.scenes]
         configs = {each: {"strength": ""} for each in trained}
         store = Store(self.root / "out", plan, configs, data)
-        self.told.clear()
+        self.lines.clear()
         schedule = Schedule(
-            store, tell=self.told.append, program=(sys.executable, "-I", "-S", str(FAKE)), **options
+            store, log=self.lines.append, program=(sys.executable, "-I", "-S", str(FAKE)), **options
         )
-        schedule.work_off(LocalPool(2))
+        schedule.do_all(LocalPool(2))
         return schedule
 
     def calls(self) -> list[str]:
@@ -226,11 +226,13 @@ def test_pictures_are_evaluated_once_and_stand_in_the_tables(bench):
     row = next(line for line in text.splitlines() if line.startswith("| theirs | 3 |"))
     assert row.startswith("| theirs | 3 | -1.60 ")
     assert "Runs without a result: theirs (1 of 4)" in text and "pairs are missing: `theirs` (3 of 4)" in text
-    assert "`iterations-50/exp3/night/theirs/seed_1`: not run: of others/night/seed_1 is not there" in text
+    assert (
+        "`iterations-50/exp3/night/theirs/seed_1`: not run: there is no folder of others/night/seed_1" in text
+    )
     assert "method theirs: pictures of another program" in text and str(bench.root) not in text
     assert progress_table(schedule).renderables
     again = bench.run()
-    assert kinds(again)["day 0"] == "done" and not bench.calls() and not bench.told
+    assert kinds(again)["day 0"] == "done" and not bench.calls() and not bench.lines
 
 
 def test_new_pictures_and_new_costs_are_measured_again(bench):
@@ -241,7 +243,9 @@ def test_new_pictures_and_new_costs_are_measured_again(bench):
     (folder / "test" / "r_0_0.png").write_text("38.0")
     schedule = bench.run()
     assert bench.calls() == ["seed_0 day exp3 2"]
-    assert any("done again, for its pictures, their costs or the data set" in line for line in bench.told)
+    assert any(
+        "done again; changed: its pictures, their costs or the data set" in line for line in bench.lines
+    )
     assert bench.report(schedule)[1][1]["LDR-OE.psnr"] == "38.0"
     (folder / "cost.json").write_text('{"seconds": 5}')
     schedule = bench.run()
@@ -294,7 +298,7 @@ def test_the_command_measures_pictures_as_evaluate_does(tiny_data, tmp_path, cap
     words += ["--scenes", f"tiny={tiny_data}", "--budget", "iterations=5", "--out", str(tmp_path / "out")]
     assert main(["benchmark", *words]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "1 of 2 runs left out" in said and "seed_1 is not there" in said
+    assert "1 of 2 runs skipped: there is no folder" in said and "tiny/seed_1" in said
     run = tmp_path / "out" / "iterations-5" / "exp3" / "tiny" / "theirs" / "seed_0"
     evaluation = json.loads((run / "evaluation.json").read_text())
     assert evaluation["means"]["LDR-NE"]["psnr"] == evaluation["means"]["HDR"]["psnr"] == 100.0

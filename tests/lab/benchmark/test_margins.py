@@ -45,7 +45,7 @@ def test_scenes_that_disagree_are_told_apart_by_no_number_of_seeds():
     difference = np.array([1.0, -0.6, 0.8, -0.2])[:, None] + rng.normal(0.0, 0.01, (4, 100))
     found = margin([*entries("a", theirs + difference), *entries("b", theirs)], "a", "b", KEY)
     assert ttest_1samp(difference.ravel(), 0.0).pvalue < 1e-5  # as if they were 400 scenes
-    assert found.standing == "not told apart"
+    assert found.standing == "undecided"
 
 
 def test_cameras_in_one_room_are_no_further_rooms():
@@ -59,7 +59,7 @@ def test_cameras_in_one_room_are_no_further_rooms():
     found = margin(runs, "a", "b", KEY)
     assert found.mean == pytest.approx(rooms.mean()) and (found.scenes, found.rooms) == (6, 2)
     assert found.interval == pytest.approx(tuple(ttest_1samp(rooms, 0.0).confidence_interval(0.95)))
-    assert found.standing == "not told apart"
+    assert found.standing == "undecided"
     dog = margin([run for run in runs if run.room == "dog"], "a", "b", KEY)
     of_cameras = ttest_1samp(difference[:4], 0.0).confidence_interval(0.95)
     assert dog.interval == pytest.approx(tuple(of_cameras)) and (dog.scenes, dog.rooms) == (4, 1)

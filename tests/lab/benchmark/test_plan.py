@@ -51,14 +51,14 @@ def test_assignments_are_read_with_their_quotes(file):
     expected = ("points_file=my points.ply", r"points_file=C:\my points\#1.ply", "training_exposures=0 2 4")
     assert plan.assignments == expected
     options = [word for text in expected for word in ("--set", text)]
-    assert plan.words_of(plan.methods[0]) == ("--preset", "default", *options)
+    assert plan.training_options(plan.methods[0]) == ("--preset", "default", *options)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ('"default", ', '"../x", ', "'../x' cannot be the name of a method"),
-        ('"default", ', '"bold", ', "2 times the method 'bold'"),
+        ('"default", ', '"bold", ', "has the method 'bold' 2 times"),
         ('"default", ', '"x := default seed=3", ', "the method 'x' sets seed"),
         ('"default", ', '"Bold", ', "methods 'Bold' and 'bold' differ only in case"),
         ('"rooms/bath"', '"Night=rooms"', "scenes 'Night' and 'night' differ only in case"),
@@ -67,7 +67,7 @@ def test_assignments_are_read_with_their_quotes(file):
         ('"rooms/bath"', '"Com1.5=rooms"', "'Com1.5' cannot be the name of a scene: .* it is a device"),
         ('"rooms/bath"', '"rooms/nowhere"', "there is no data set"),
         ('"rooms/bath"', '"~nobody-of-this-name/bath"', "there is no data set"),
-        ('"rooms/bath"', '"night=rooms"', "2 times the scene 'night'"),
+        ('"rooms/bath"', '"night=rooms"', "has the scene 'night' 2 times"),
         ('"exp1"', '"exp2"', "no setting 'exp2'"),
         ("[0, 1]", "[0, -1]", "'seeds' cannot be read"),
         ("[0, 1]", "[]", "the plan has no seed"),
@@ -141,7 +141,7 @@ set = ["downscale=2"]
     assert main(["benchmark", "--out", str(out), *words]) == 0
     said = "`physhdr benchmark --device cpu --threads-per-job 2 --out OUT`"
     assert said in (out / "report.md").read_text()
-    monkeypatch.setattr(Benchmark, "_work_off", lambda *_: None)
+    monkeypatch.setattr(Benchmark, "_do_runs", lambda *_: None)
     assert main(["benchmark", "--out", str(out)]) == 0
     assert (out / "plan.toml").read_text() == written
     assert main(["benchmark", "--out", str(out), "--methods", "paper"]) == 0  # another plan is kept

@@ -38,10 +38,10 @@ _spec.loader.exec_module(fake)
 
 
 class Bench:
-    """A benchmark in ``root`` whose plan a test changes; ``told`` are its lines for the user."""
+    """A benchmark in ``root`` whose plan a test changes; ``lines`` are its lines for the user."""
 
     def __init__(self, root):
-        self.root, self.told = root, []
+        self.root, self.lines = root, []
         for name in ("day", "night"):
             (root / name).mkdir()
             (root / name / "data.json").write_text(name)
@@ -57,13 +57,13 @@ class Bench:
             configs[method.name, scene.name] = config
         data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         store = Store(self.root / "out", plan, configs, data, weights)
-        self.told.clear()
+        self.lines.clear()
         program = (sys.executable, "-I", "-S", str(FAKE))
-        return Schedule(store, tell=self.told.append, program=program, **options)
+        return Schedule(store, log=self.lines.append, program=program, **options)
 
     def run(self, jobs=2, **options):
         schedule = self.schedule(**options)
-        schedule.work_off(LocalPool(jobs))
+        schedule.do_all(LocalPool(jobs))
         return schedule
 
     def calls(self):
@@ -121,10 +121,10 @@ def test_a_changed_plan_repeats_what_changed_and_says_so(bench):
     bench.content["methods"] = ["quick", "v := other strength=2"]
     bench.run()
     assert bench.calls() == ["other day 0 50"]
-    assert any("v/seed_0: to be done again, for strength 1 → 2" in line for line in bench.told)
+    assert any("v/seed_0: to be done again; changed: strength 1 → 2" in line for line in bench.lines)
     (bench.root / "day" / "data.json").write_text("brighter")
     bench.run()
-    assert len(bench.calls()) == 2 and sum("for the data set" in line for line in bench.told) == 2
+    assert len(bench.calls()) == 2 and sum("changed: the data set" in line for line in bench.lines) == 2
     bench.content["budgets"].append("iterations=60")
     bench.run()
     assert sorted(bench.calls()) == ["other day 0 60", "quick day 0 60"]
@@ -144,7 +144,7 @@ def test_a_training_that_is_not_what_was_asked_for_is_ended_as_soon_as_it_says_s
     bench.content["methods"] = ["hangs"]  # after its configuration, for longer than any test
     schedule = bench.schedule()
     schedule.store.configs["hangs", "day"]["strength"] = "9"
-    schedule.work_off(LocalPool(1))
+    schedule.do_all(LocalPool(1))
     (status,) = schedule.status.values()
     assert status.kind == "failed" and status.text.endswith("strength 9 → ")
 
@@ -201,7 +201,7 @@ def test_a_failure_stops_nothing_is_told_and_tried_again_when_asked(bench):
     schedule = bench.run(jobs=1)
     # Seed 0 of the first searches for the iterations of both of its seeds.
     assert kinds(schedule) == ["failed", "done", "blocked", "done"]
-    assert any("failed: error: the flux is out of order" in line for line in bench.told)
+    assert any("failed: error: the flux is out of order" in line for line in bench.lines)
     path, _ = write_report(schedule, bench.root / "report.md", "physhdr benchmark")
     text = path.read_text()
     assert "`physhdr train` ended with 3" in text and "it begins well\n  error: the flux" in text
@@ -269,7 +269,7 @@ def test_an_interruption_leaves_what_is_done_and_nothing_half_done(bench):
 
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        schedule.work_off(LocalPool(2), interrupt_when_it_hangs)
+        schedule.do_all(LocalPool(2), interrupt_when_it_hangs)
     assert time.monotonic() - begun < 30 and shown and not bench.left_over()
     assert not fakes_running(bench.root)
     assert kinds(bench.schedule()) == ["done", "waiting"]
@@ -289,7 +289,7 @@ def fakes_running(root):
 def test_two_commands_share_the_runs(bench):
     bench.content |= {"seeds": list(range(6))}
     schedules = [bench.schedule(), bench.schedule()]
-    threads = [threading.Thread(target=s.work_off, args=(LocalPool(2),)) for s in schedules]
+    threads = [threading.Thread(target=s.do_all, args=(LocalPool(2),)) for s in schedules]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -301,13 +301,15 @@ def test_two_commands_share_the_runs(bench):
 def test_two_commands_where_nothing_can_be_locked_do_the_runs_twice_and_say_so(bench, monkeypatch):
     monkeypatch.setitem(sys.modules, "filelock", None)
     schedules = [bench.schedule(), bench.schedule()]
-    threads = [threading.Thread(target=s.work_off, args=(LocalPool(1),)) for s in schedules]
+    threads = [threading.Thread(target=s.do_all, args=(LocalPool(1),)) for s in schedules]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join(60)
     assert [kinds(s) for s in schedules] == [["done"]] * 2 and not bench.left_over()
-    assert len([line for line in bench.told if "cannot be locked (this Python has no filelock)" in line]) == 2
+    assert (
+        len([line for line in bench.lines if "cannot be locked (this Python has no filelock)" in line]) == 2
+    )
 
 
 def test_what_a_dead_command_left_is_taken_over(bench):
@@ -348,9 +350,9 @@ def test_a_run_that_another_command_took_over_is_theirs_and_no_failure(bench):
         seen.append(status.kind)
         assert len(seen) < 200
 
-    schedule.work_off(LocalPool(1), they_take_it_over_and_finish_it)
+    schedule.do_all(LocalPool(1), they_take_it_over_and_finish_it)
     assert "elsewhere" in seen and "failed" not in seen and kinds(schedule) == ["done"]
-    assert any("another command took it over" in line for line in bench.told) and not bench.left_over()
+    assert any("another command took over" in line for line in bench.lines) and not bench.left_over()
 
 
 def test_a_file_in_the_way_fails_what_needs_the_place_and_nothing_else(bench):
@@ -359,7 +361,7 @@ def test_a_file_in_the_way_fails_what_needs_the_place_and_nothing_else(bench):
     (bench.root / "out" / "iterations-50").write_text("in the way")
     schedule = bench.run()
     assert kinds(schedule) == ["failed", "done"] and not bench.left_over()
-    assert any("failed: " in line and "Not a directory" in line for line in bench.told)
+    assert any("failed: " in line and "Not a directory" in line for line in bench.lines)
     text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
     assert "Not a directory" in text
 
@@ -382,8 +384,8 @@ def test_a_training_that_cannot_be_put_in_place_is_kept_and_not_repeated(bench, 
         held.setattr(os, "rename", refuse)
         assert kinds(bench.run()) == ["failed"]
     (kept,) = bench.left_over()
-    (told,) = [line for line in bench.told if "failed: " in line]
-    assert "cannot put the result into" in told and f"its training is kept in {kept}: close" in told
+    (line,) = [line for line in bench.lines if "failed: " in line]
+    assert "cannot put the result into" in line and f"its training is in {kept}: close" in line
     assert (folder / "run.json").read_text() == former
     bench.calls()
     assert kinds(bench.run()) == ["done"] and bench.calls() == [] and not bench.left_over()
@@ -407,8 +409,8 @@ def test_no_training_is_kept_or_promised_where_nothing_can_be_locked(bench, monk
     refuse = OSError(errno.EACCES, "The process cannot access the file")
     monkeypatch.setattr(runs, "patiently", lambda move: (_ for _ in ()).throw(refuse))
     assert kinds(bench.run()) == ["failed"] and not bench.left_over()
-    (told,) = [line for line in bench.told if "failed: " in line]
-    assert "cannot put the result into" in told and "its training" not in told
+    (line,) = [line for line in bench.lines if "failed: " in line]
+    assert "cannot put the result into" in line and "its training" not in line
 
 
 @pytest.mark.parametrize("locks", [True, False])
@@ -426,7 +428,7 @@ def test_an_interrupted_evaluation_leaves_a_training_where_the_next_command_look
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        schedule.work_off(LocalPool(1), interrupt_once_it_is_trained)
+        schedule.do_all(LocalPool(1), interrupt_once_it_is_trained)
     assert not fakes_running(bench.root)
     assert len(bench.left_over()) == (1 if locks else 0)
 
@@ -548,7 +550,7 @@ def test_one_run_decides_no_lead(bench):
     bench.content |= {"methods": ["quick", "other"], "seeds": [0]}
     schedule = bench.run(jobs=2)
     set_psnr(bench, schedule, lambda run: 35.0 + (run.method.name == "quick"))
-    assert verdicts(bench, schedule) == ["- LDR-OE: of one run only, over `other`"]
+    assert verdicts(bench, schedule) == ["- LDR-OE: one run only, over `other`"]
 
 
 def test_a_lead_is_told_by_name_with_the_pairs_that_are_missing(bench):
@@ -559,7 +561,7 @@ def test_a_lead_is_told_by_name_with_the_pairs_that_are_missing(bench):
     set_psnr(
         bench, schedule, lambda run: level[run.method.name] + 0.01 * (run.seed * len(run.method.name) % 3)
     )
-    assert verdicts(bench, schedule) == ["- LDR-OE: ahead of `other`; not told apart from `w`; behind `v`"]
+    assert verdicts(bench, schedule) == ["- LDR-OE: ahead of `other`; undecided against `w`; behind `v`"]
     gone = next(run for run in schedule.runs if run.method.name == "other" and run.seed == 2)
     (bench.root / "out" / gone.folder / "evaluation.json").unlink()
     (said,) = verdicts(bench, bench.schedule())
@@ -589,7 +591,7 @@ def test_intervals_over_cameras_of_one_room_say_so(bench):
             file.write_text(json.dumps(content))
         return write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
 
-    said = "2 data sets of one room: the intervals are over these and tell nothing of another room"
+    said = "2 data sets of one room: the intervals are over these and say nothing about other rooms"
     assert said not in reported() and said not in reported(day="interior", night="bathroom")
     assert f"\n- {said}\n- LDR-OE: " in reported(night="interior")
 

@@ -47,7 +47,7 @@ def test_a_run_is_expected_to_be_what_is_trained(write, found, tmp_path):
     for run in runs_of(plan):
         out = tmp_path / run.method.name
         own = ["--seed", "0", "--exposure-mode", run.setting, "--iterations", "1", "--device", "cpu"]
-        assert main(["train", str(root), *plan.words_of(run.method), *own, "--out", str(out)]) == 0
+        assert main(["train", str(root), *plan.training_options(run.method), *own, "--out", str(out)]) == 0
         trained = json.loads((out / "config.json").read_text())["config"]
         assert differences(store.config(run, 1), trained) == []
         preset = presets[run.method.name]
