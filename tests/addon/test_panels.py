@@ -338,6 +338,9 @@ def test_no_text_is_cut_at_the_default_width(chosen, name, tmp_path, monkeypatch
         (tmp_path / "photos").mkdir()
         chosen.photos, chosen.photos_out = str(tmp_path / "photos"), str(tmp_path / "photos_dataset")
         state = replace(state, photos=replace(state.photos, folder=chosen.photos))
+        for word in ("off", "factor"):
+            light = chosen.photos_lights.add()
+            light.folder, light.light, light.word = str(tmp_path / "lamp"), "lamp", word
     for live, automatic in ((False, True), (True, False)):
         chosen.preview, chosen.iterations_automatic = live, automatic
         settings.follow_lights(chosen, LIGHTS)
@@ -475,6 +478,19 @@ def test_the_report_is_folded_and_its_warnings_are_not(chosen):
         assert "interior: 18 training views" in shown
         assert any("stops" in text for text in shown) == is_open
         assert any("no test split" in text for text in shown) == is_open
+
+
+def test_photos_under_other_light_have_a_row_each(chosen, tmp_path):
+    photos = states(chosen.data)["photos"]
+    chosen.photos = str(tmp_path / "photos")
+    shown = [(text, name) for _, text, _, name, _ in texts(draw(dataset, photos)) if "light" in name]
+    assert shown == [("Other Light…", "physhdr.photos_light_add")]
+    light = chosen.photos_lights.add()
+    light.folder, light.light, light.word = str(tmp_path / "lamp"), "lamp", "on"
+    names = [name for *_, name, _ in texts(draw(dataset, photos))]
+    assert {"light", "word", "folder", "physhdr.photos_light_remove"} <= set(names) and "factor" not in names
+    light.word = "factor"
+    assert "factor" in [name for *_, name, _ in texts(draw(dataset, photos))]
 
 
 def test_a_data_set_that_is_looked_at_says_so(chosen):

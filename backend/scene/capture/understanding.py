@@ -306,10 +306,9 @@ def _say_lights(understood: Understanding, parts: dict[str, Brackets]) -> None:
         return
     for light, brackets in parts.items():
         if light:
-            times = ", ".join(time_in_words(2.0**ev) for ev in brackets.evs)
             understood.lines.append(
                 f"{light}: {len(brackets.photos)} photos, {len(brackets.poses)} poses with {brackets.length} "
-                f"each ({brackets.how}): {times}"
+                f"each ({brackets.how}): {_times(brackets)}"
             )
     empty = [group.name for group in understood.lights.groups if group.name not in parts]
     understood.warnings.extend(f"ignoring '{name}': none of its photos can be used" for name in empty)
@@ -325,20 +324,14 @@ def _lines(brackets: Brackets, exposures: Exposures, kind: str) -> list[str]:
     head = f"{len(brackets.photos)} {what} of {of}: {len(brackets.poses)} poses with {brackets.length} each"
     lines = []
     if kind == "single":
-        seconds = sorted(pose.seconds[0] for pose in brackets.poses)
-        times = time_in_words(seconds[0])
-        if brackets.stops >= SAME_EV:
-            times += f" to {time_in_words(seconds[-1])}"
-        lines.append(f"{head} ({brackets.how}): {times} ({exposures.meaning})")
+        lines.append(f"{head} ({brackets.how}): {_times(brackets)} ({exposures.meaning})")
         if brackets.stops >= SAME_EV:
             lines.append(
                 f"exposures span {brackets.stops:.1f} stops from photo to photo: a bracket over the views"
             )
     else:
-        times = ", ".join(time_in_words(2.0**ev) for ev in brackets.evs)
-        lines.append(
-            f"{head} ({brackets.how}): {times}, {brackets.stops:.1f} stops in all ({exposures.meaning})"
-        )
+        times = f"{_times(brackets)}, {brackets.stops:.1f} stops in all"
+        lines.append(f"{head} ({brackets.how}): {times} ({exposures.meaning})")
         if kind == "handheld":
             lines.append("hand-held: each photo is placed by itself")
     if photos[0].is_raw:
@@ -347,6 +340,15 @@ def _lines(brackets: Brackets, exposures: Exposures, kind: str) -> list[str]:
     if masks:
         lines.append(f"{masks} photos have masks: what is black there is not looked at")
     return lines
+
+
+def _times(brackets: Brackets) -> str:
+    """The exposures in words: of each step the median, or, without brackets, the shortest and longest."""
+    if brackets.length > 1:
+        return ", ".join(time_in_words(2.0**ev) for ev in brackets.evs)
+    seconds = sorted(pose.seconds[0] for pose in brackets.poses)
+    longest = f" to {time_in_words(seconds[-1])}" if brackets.stops >= SAME_EV else ""
+    return time_in_words(seconds[0]) + longest
 
 
 def _warnings(brackets: Brackets, photos: Sequence[Photo], found: Found, same_exposure: bool) -> list[str]:

@@ -185,6 +185,22 @@ def test_a_look_says_which_lights_can_be_turned(tmp_path, capsys):
     assert any("daylight and lamp always change together" in each for each in found["warnings"])
     assert any("12×16" in each for each in found["warnings"])  # few photos of another size
     assert look(capsys, photos)["lights"] == []
+    held = look(capsys, photos, *words, "--handheld")
+    assert (held["kind"], held["places"]) == ("handheld", 3)
+    assert [each["places"] for each in held["lights"]] == [1, 2]
+
+
+def test_a_file_of_exposures_names_photos_with_their_folder(tmp_path, capsys):
+    """Both folders have an IMG_0.jpg; only one has an IMG_9.jpg, which needs no folder."""
+    photos, off = tiny(tmp_path / "photos", 4, (1.0,)), tiny(tmp_path / "pendant off", 2, (1.0,))
+    (off / "IMG_1.jpg").rename(off / "IMG_9.jpg")
+    rows = [f"IMG_{k}.jpg,{k + 1}" for k in range(4)]
+    (tmp_path / "t.csv").write_text("\n".join([*rows, "pendant off/IMG_0.jpg,8", "IMG_9.jpg,16"]))
+    words = [photos, "--exposures", tmp_path / "t.csv", "--group", "none"]
+    lines = look(capsys, *words)["lines"]
+    assert any(line.startswith("pendant off: 2 photos") and line.endswith(": 8 s to 16 s") for line in lines)
+    (tmp_path / "t.csv").write_text("\n".join([*rows, "IMG_9.jpg,16"]))
+    assert "no exposure for 1 of 6 photos: pendant off/IMG_0.jpg" in refused(*words, "--look")
 
 
 def test_folders_in_or_beside_that_say_it_themselves(tmp_path, capsys):
