@@ -6,7 +6,7 @@ import bpy
 from ..blender import layout_of
 from ..model import origin
 from ..model.look import is_model
-from .parts import ModelSubpanel, write
+from .parts import ICON, ModelSubpanel, write
 
 
 class PHYSHDR_PT_scale(ModelSubpanel, bpy.types.Panel):
@@ -30,7 +30,7 @@ class PHYSHDR_PT_scale(ModelSubpanel, bpy.types.Panel):
         facts = ["metres" if known.has_scale else "scale as imported"]
         facts.append("floor at z = 0" if known.has_floor else "ground as imported")
         row = layout.row(align=True)
-        row.label(text=", ".join(facts).capitalize(), icon="CHECKMARK")
+        write(context, row, ", ".join(facts).capitalize(), "CHECKMARK", beside=ICON)
         row.operator("physhdr.capture_reset", text="", icon="LOOP_BACK")
 
 

@@ -15,10 +15,17 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from physhdr.addon import plot, runtime, settings  # noqa: E402
 from physhdr.addon.capture import originals  # noqa: E402
+from physhdr.addon.model import origin  # noqa: E402
 from physhdr.addon.panels import backend, dataset, parts, status_bar, training  # noqa: E402
 from physhdr.addon.panels.capture import PHYSHDR_PT_capture, PHYSHDR_PT_capture_behind  # noqa: E402
+from physhdr.addon.panels.cleaning import PHYSHDR_PT_cleaning  # noqa: E402
+from physhdr.addon.panels.lighting import PHYSHDR_PT_light  # noqa: E402
 from physhdr.addon.panels.model import PHYSHDR_PT_look, PHYSHDR_PT_model  # noqa: E402
-from physhdr.addon.panels.render import PHYSHDR_PT_render, PHYSHDR_PT_render_properties  # noqa: E402
+from physhdr.addon.panels.render import (  # noqa: E402
+    PHYSHDR_PT_render,
+    PHYSHDR_PT_render_properties,
+)
+from physhdr.addon.panels.scale import PHYSHDR_PT_scale  # noqa: E402
 from physhdr.addon.panels.status import PHYSHDR_PT_status  # noqa: E402
 from physhdr.addon.session import tasks  # noqa: E402
 from physhdr.addon.session.state import (  # noqa: E402
@@ -97,6 +104,9 @@ class Layout:
         return SimpleNamespace()
 
     def menu(self, name, text="", icon="NONE"):
+        self.put("menu", text, icon, name)
+
+    def operator_menu_enum(self, name, of, text="", icon="NONE"):
         self.put("menu", text, icon, name)
 
     def progress(self, factor=0.0, text=""):
@@ -202,6 +212,7 @@ def draw(panel, state=None):
         scene=bpy.context.scene,
         preferences=bpy.context.preferences,
         object=bpy.context.view_layer.objects.active,
+        selected_objects=(),
         view_layer=bpy.context.view_layer,
         region=SimpleNamespace(width=WIDTH),
         space_data=SimpleNamespace(
@@ -661,3 +672,17 @@ def test_who_previews_while_another_runs_model_is_open_is_given_the_button(chose
     told = " ".join(text for kind, text, *_ in shown if kind == "label")
     assert "another run open, kitchen_run: open this file's instead" in told
     assert not [each for each in shown if parts.text_width(each[1]) > each[2]]
+
+
+def test_no_text_of_what_is_done_with_a_model_is_cut(chosen, make_model, write, tmp_path):
+    """Scale and ground as far as they are known, light, cleaning and render."""
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())), name="a kitchen with a long name")
+    known = chosen.captures.add()
+    known.name = origin.capture_of(bpy.context.object)
+    for has_scale, has_floor in ((False, False), (True, True)):
+        known.has_scale, known.has_floor = has_scale, has_floor
+        for panel in (PHYSHDR_PT_scale, PHYSHDR_PT_light, PHYSHDR_PT_cleaning, PHYSHDR_PT_render):
+            for kind, text, free, *_ in texts(draw(panel, State())):
+                named = getattr(bpy.types, text.replace("physhdr.", "PHYSHDR_OT_"), None)
+                text = getattr(named, "bl_label", text)  # an operator's own name
+                assert parts.text_width(text) <= free, f"{panel.__name__}: {kind} {text!r} is cut"
