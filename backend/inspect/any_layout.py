@@ -6,7 +6,7 @@ The reader has checked every header by then; here each picture is decoded, and t
 
 import numpy as np
 
-from ...bridge.data_set import TRAIN
+from ...bridge.data_set import LIT, LIT_TEST, TRAIN
 from ...bridge.errors import PhysHDRError
 from ...bridge.light_groups import LightGroup, LightGroups
 from ...bridge.light_report import light_report
@@ -24,9 +24,10 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
     found.scene = scene.name
     splits = {name: views for name, views in scene.splits.items() if views}
     found.splits = {name: Split(len(views)) for name, views in splits.items()}
-    brackets = {
+    brackets = {  # other light has other exposures
         name: [dict(zip(view.bracket, view.exposures, strict=True)) for view in views]
         for name, views in splits.items()
+        if name not in (LIT, LIT_TEST)
     }
     add_exposures(found, brackets, scene.photographs and not keeps_exposures_for_testing(scene))
     if scene.response_anchor is not None:

@@ -118,6 +118,8 @@ def test_inspect_says_which_lights_can_be_turned(prepared):
     found = inspect(prepared)
     assert not found.errors and found.lights == ["ambient", "pendant"]
     assert found.turnable == [f"pendant can be turned afterwards: off from {len(LIT)} places"]
+    assert [exposure.seconds for exposure in found.exposures] == [0.1, 0.4]
+    assert not any("differ from view to view" in warning for warning in found.warnings)
     assert {name: split.poses for name, split in found.splits.items()}["lit_test"] == 1
 
 
