@@ -23,6 +23,7 @@ _MODULES = (
     "outside",
     "settings",
     "dataset.dataset_settings",
+    "dataset.dataset_presets",
     "blend_paths",
     "capture.originals",
     "model.pose",

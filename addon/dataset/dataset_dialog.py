@@ -27,19 +27,29 @@ TEXT_BESIDE = 52
 
 
 def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
-    """All that is chosen, what is wrong with it, and about how long it takes."""
+    """What every data set needs, the rest folded, what is wrong with it, and about how long it takes."""
     scene = context.scene
     settings, values = settings_of(scene), chosen(scene)
     layout.use_property_split = True
     layout.use_property_decorate = False
-    layout.prop(settings, "out")
-    _draw_rig(layout.column(align=True), settings)
-    camera = layout.column(align=True)
-    file = ("response_file",) if settings.response == "file" else ()
-    for name in ("exposures", "response", *file, "resolution_x", "resolution_y"):
-        _prop(camera, settings, name)
-    _draw_cycles(layout.column(align=True), settings)
-    _draw_lights(layout, settings, values)
+    row = layout.row(align=True)
+    row.prop(settings, "out")
+    row.popover("PHYSHDR_PT_dataset_presets", text="", icon="PRESET")
+    column = layout.column(align=True)
+    for name in ("rig", "views", "resolution_x"):
+        _prop(column, settings, name)
+    _draw_lights(layout, settings)
+    # No ``layout.panel``: a dialog with one that opens again, below an error, crashes Blender 5.2.2.
+    row = layout.row()
+    row.use_property_split, row.alignment = False, "LEFT"
+    icon = "DOWNARROW_HLT" if settings.show_advanced else "RIGHTARROW"
+    row.prop(settings, "show_advanced", icon=icon, emboss=False)
+    if settings.show_advanced:
+        _draw_advanced(layout, settings)
+    needed = dataset_command.combinations(values)
+    if 0 < settings.lit_views < needed:
+        text = f"These levels combine in {needed} ways: better {needed} views under other light"
+        _write(layout, text, "INFO")
     models = [item.name for item in scene.objects if is_model(item) and not item.hide_render]
     if models:
         text = f"Trained models are left out of what is photographed: {', '.join(models)}"
@@ -104,16 +114,25 @@ def _draw_time(layout: bpy.types.UILayout, values: SimpleNamespace, scene: bpy.t
     row.operator("physhdr.dataset_time", icon="FILE_REFRESH")
 
 
-def _draw_rig(column: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) -> None:
-    known = {
+def _draw_advanced(layout: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) -> None:
+    """What has good values by itself: of the rig, the camera, the lights' levels and Cycles."""
+    of_rig = {
         "GRID": ("rig_distance", "rig_width", "rig_height"),
         "ORBIT": ("rig_distance", "rig_arc"),
         "HEMISPHERE": ("rig_distance", "rig_arc"),
         "PATH": (),
     }
-    for name in ("rig", "views", *known[settings.rig]):
-        _prop(column, settings, name)
-    column.prop(settings, "show_cameras")
+    file = ("response_file",) if settings.response == "file" else ()
+    layout.prop(settings, "show_cameras")
+    for names in (
+        of_rig[settings.rig],
+        ("resolution_y", "exposures", "response", *file),
+        ("lit_views", "lit_levels", "relit_views", "ambient_levels"),
+    ):
+        column = layout.column(align=True)
+        for name in names:
+            _prop(column, settings, name)
+    _draw_cycles(layout.column(align=True), settings)
 
 
 def _draw_cycles(column: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) -> None:
@@ -127,22 +146,12 @@ def _draw_cycles(column: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) 
         column.prop(settings, name)
 
 
-def _draw_lights(
-    layout: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings, values: SimpleNamespace
-) -> None:
+def _draw_lights(layout: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) -> None:
     column = layout.column(heading="Lights That Vary")
     column.prop(settings, "vary_ambient", text="Ambient: the world and suns")
     for light in settings.lights:
         kind = "light group" if light.kind == GROUP else "collection"
         column.prop(light, "vary", text=f"{light.name} ({kind}): {light.words}")
-    levels = layout.column(align=True)
-    for name in ("lit_views", "lit_levels", "relit_views", "ambient_levels"):
-        levels.prop(settings, name)
-    needed = dataset_command.combinations(values)
-    if 0 < settings.lit_views < needed:
-        _write(
-            layout, f"These levels combine in {needed} ways: better {needed} views under other light", "INFO"
-        )
 
 
 def _prop(layout: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings, name: str) -> None:

@@ -187,6 +187,9 @@ class PHYSHDR_DatasetSettings(RenderOptions, bpy.types.PropertyGroup):
     #: A path as ``out`` is one, so that both follow the file alike (``blend_paths``).
     proposed: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "PATH_SUPPORTS_BLEND_RELATIVE"})
     proposed_for: bpy.props.StringProperty(options={"HIDDEN"})
+    show_advanced: bpy.props.BoolProperty(
+        name="Advanced", description="Show what has good values by itself, too"
+    )
     show_cameras: bpy.props.BoolProperty(
         name="Show in the 3D View",
         default=True,
