@@ -13,6 +13,11 @@ from .dataset_settings import DATASET, OPTIONS
 FOLDER = "physhdr_dataset"
 
 
+def make_folder() -> None:
+    """Blender's list of presets says *Missing Paths* where there is no folder of them."""
+    bpy.utils.user_resource("SCRIPTS", path=f"presets/{FOLDER}", create=True)
+
+
 class PHYSHDR_PT_dataset_presets(PresetPanel, bpy.types.Panel):
     bl_label = "Data Set Presets"
     preset_subdir = FOLDER

@@ -24,6 +24,7 @@ from ..dataset import (
     dataset_command,
     dataset_dialog,
     dataset_folder,
+    dataset_presets,
     dataset_settings,
     disk_caches,
     render_time,
@@ -85,6 +86,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         dataset_folder.propose(settings)
         dataset_settings.look_for_lights(context.scene, context.view_layer)
         dataset_settings.without_denoiser(context.scene)
+        dataset_presets.make_folder()
         rig_preview.dialog_opened(context)
         self.in_dialog = True
         return context.window_manager.invoke_props_dialog(

@@ -52,7 +52,6 @@ def draw_cg(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     row = layout.row(align=True)
     row.operator("physhdr.cg_here", icon="PIVOT_CURSOR")
     if not cg.is_there(scene):
-        write(context, layout, "A ground at the 3D cursor: shadows of CG fall on the capture", "INFO")
         return
     row.operator("physhdr.cg_reset", text="", icon="X")
     for reason in cg.hindrances(scene):

@@ -2,7 +2,7 @@
 """The top of the sidebar: how things are, what is next, how far, what is wrong; the first screen."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -14,11 +14,14 @@ from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import State
 from ..session.tasks import duration, stage_of_training
 from .backend import draw_first, draw_foreign
-from .parts import BOX, SidebarPanel, draw_made, draw_problem, draw_task, shortened, write
+from .capture import is_behind
+from .parts import BOX, ICON, SidebarPanel, draw_made, draw_problem, draw_task, first_line, shortened, write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
+#: Pixels of a header that its fold takes.
+FOLD = 20.0
 #: Rows that are kept for the next step, and below the bar of what is under way.
 STEP_LINES, PROGRESS_LINES = 2, 2
 READY: "IconItems" = "RADIOBUT_ON"
@@ -35,28 +38,30 @@ ICONS: "dict[str, IconItems]" = {
 
 
 class PHYSHDR_PT_status(SidebarPanel, bpy.types.Panel):
-    """Always there and always open: it has no header to fold it by."""
+    """How things are is its header: without one, Blender would draw it straight onto the 3D view."""
 
-    bl_label = "PhysHDR"
-    bl_options: ClassVar[set[str]] = {"HIDE_HEADER"}
+    bl_label = ""
     bl_order = 0
 
-    def draw(self, context: bpy.types.Context) -> None:
-        state, layout, chosen = session().state, layout_of(self), choices(context)
-        problem = problem_of(state)
+    def draw_header(self, context: bpy.types.Context) -> None:
+        state, chosen = session().state, choices(context)
         icon = ICONS.get(state.job.state, READY) if is_of_file(state.job, chosen) or state.active else READY
         if not state.backend.ready:
             icon = "RADIOBUT_OFF"
-        layout.label(text=headline(state, chosen), icon="ERROR" if problem else icon)
+        icon = "ERROR" if problem_of(state) else icon
+        layout_of(self).label(text=first_line(context, headline(state, chosen), FOLD + ICON), icon=icon)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        state, layout, chosen = session().state, layout_of(self), choices(context)
         # In rows of their own for good, so that nothing below moves when work begins or ends.
         step = next_step(state, replace(chosen, done=done_in(context.scene, chosen.out)))
         write(context, layout, step, "FORWARD" if step else "NONE", lines=STEP_LINES)
-        draw_progress(context, layout, state, is_of_file(state.job, chosen))
+        draw_progress(context, layout, state, is_of_file(state.job, chosen), keep=not is_behind(context))
         if chosen.not_looked_at:
             box = layout.box()
             write(context, box, outside.QUESTION, "INFO", beside=BOX)
             outside.draw(box, chosen.not_looked_at, lambda path: shortened(path, context))
-        if problem:
+        if problem := problem_of(state):
             draw_problem(context, layout, problem)
         if not state.backend.ready:
             draw_first(context, layout, state)
@@ -64,11 +69,12 @@ class PHYSHDR_PT_status(SidebarPanel, bpy.types.Panel):
 
 
 def draw_progress(
-    context: bpy.types.Context, layout: bpy.types.UILayout, state: State, is_mine: bool
+    context: bpy.types.Context, layout: bpy.types.UILayout, state: State, is_mine: bool, *, keep: bool
 ) -> None:
     """How far what is under way is: a bar and ``PROGRESS_LINES`` lines; else what was made last, or nothing.
 
-    A training comes first; child processes beside it have bars of their own.
+    A training comes first; child processes beside it have bars of their own. ``keep``: the room for a bar,
+    where nothing is under way.
     """
     tasks = [task.name for task in state.tasks]
     job = state.job
@@ -80,7 +86,7 @@ def draw_progress(
         draw_task(column, state, tasks.pop(0), PROGRESS_LINES)
     elif state.made:
         draw_made(column, state.made)
-    else:
+    elif keep:
         column.label(text="")
         write(context, column, "", lines=PROGRESS_LINES)
     for name in tasks:

@@ -16,7 +16,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 from physhdr.addon import plot, runtime, settings  # noqa: E402
 from physhdr.addon.capture import originals  # noqa: E402
 from physhdr.addon.model import origin  # noqa: E402
-from physhdr.addon.panels import backend, dataset, parts, status_bar, training  # noqa: E402
+from physhdr.addon.panels import backend, dataset, parts, status, status_bar, training  # noqa: E402
 from physhdr.addon.panels.capture import PHYSHDR_PT_capture, PHYSHDR_PT_capture_behind  # noqa: E402
 from physhdr.addon.panels.cleaning import PHYSHDR_PT_cleaning  # noqa: E402
 from physhdr.addon.panels.lighting import PHYSHDR_PT_light  # noqa: E402
@@ -225,6 +225,8 @@ def draw(panel, state=None):
     if isinstance(panel, ModuleType):
         panel.draw(context, layout, runtime.session().state)
     else:
+        if hasattr(panel, "draw_header"):
+            panel.draw_header(SimpleNamespace(layout=layout.row()), context)
         panel.draw(SimpleNamespace(layout=layout), context)
     return layout
 
@@ -534,6 +536,15 @@ def test_the_first_screen_is_the_two_ways_in(chosen):
     for name, there in (("nothing", ways), ("ready", [])):
         shown = [each for *_, each, _ in texts(draw(PHYSHDR_PT_status, states(chosen.data)[name]))]
         assert [each for each in shown if each in ways] == there
+
+
+def test_room_for_a_bar_is_kept_only_where_a_training_begins(chosen, make_model, write):
+    """Capture must not jump when Start is pressed; above a folded one the room would be a hole."""
+    ready = states(chosen.data)["ready"]
+    before = height(draw(PHYSHDR_PT_status, ready))[1]
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())), name="kitchen")
+    after = height(draw(PHYSHDR_PT_status, ready))[1]
+    assert before - after == pytest.approx(1.0 + 0.8 * status.PROGRESS_LINES)
 
 
 def test_another_blenders_trainer_is_seen_whatever_is_folded(chosen):
