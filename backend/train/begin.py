@@ -36,9 +36,10 @@ from .optimisers import Optimiser
 from .plan import Plan, planned
 from .saver import restore_method, restore_rest
 from .state import Part, State
+from .unseen_shares import UnseenShares
 
 #: What can take part in a training, in the order in which an iteration asks it.
-PARTS: tuple[type[Part], ...] = (LearnedPoses, Nuisances, LightLevels, Growing)
+PARTS: tuple[type[Part], ...] = (LearnedPoses, Nuisances, LightLevels, Growing, UnseenShares)
 
 
 def begin(
