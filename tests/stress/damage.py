@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Damaged files, made from whole ones: what every reader is tried with.
+"""Damaged files, made from whole ones, with which every reader is tried.
 
 A seed gives the same cases on every machine, so that a case that fails can be made again from its number.
 Only the standard library, so that tests inside Blender have it too.
@@ -28,8 +28,8 @@ EXTREMES = [
 EXTREMES += [extreme[::-1] for extreme in EXTREMES if len(extreme) > 1]  # PNG and TIFF have big endian too
 
 #: What may stand in JSON where something else is expected. An integer of 400 digits is no float; NaN and
-#: the infinities are no JSON, but Python's reader takes them; a lone surrogate is no text that a file's name
-#: or a line of a log can be.
+#: the infinities are not JSON, but Python's reader accepts them; a lone surrogate cannot be in a file's name
+#: or a line of a log.
 JSON_VALUES: tuple[Any, ...] = (
     None,
     True,

@@ -7,9 +7,9 @@
     python tests/stress/fuzz.py --only "PLY" --cases 500  rows whose name has that text
     python tests/stress/fuzz.py --replay FILE …           cases that were found before
 
-A crash, a hang, an exception that is none of ours, a message that names nothing, memory that is asked for
-in vain, a bad input that is accepted: each is a finding, kept as a file under --findings. Ends with 1 where
-there is one.
+A crash, a hang, an exception that is not ours, a message that names nothing, memory that is requested
+in vain, a bad input that is accepted: each is a finding, saved as a file under --findings. The exit status
+is 1 if there is one.
 """
 
 import argparse
@@ -38,7 +38,7 @@ SECONDS = 900.0
 def main() -> int:
     arguments = _arguments()
     if not Path("/proc/self/statm").exists():
-        _say("skipped: memory and time of cases are watched as Linux tells them")
+        _say("skipped: memory and time of cases are measured on Linux only")
         return 0
     try:
         from fuzzing.targets import TARGETS
@@ -127,7 +127,7 @@ def _try_all(targets: list[Target], arguments: argparse.Namespace, scratch: Path
 
 
 def _replay(paths: list[Path], targets: tuple[Target, ...], scratch: Path) -> int:
-    """Try found cases again: one line each, and 1 where one is still a finding."""
+    """Try found cases again: one line each; returns 1 if one is still a finding."""
     known = {target.name: target for target in targets}
     worker, status = Worker(scratch), 0
     for path in paths:
@@ -139,9 +139,9 @@ def _replay(paths: list[Path], targets: tuple[Target, ...], scratch: Path) -> in
             continue
         order = Order(finding.target, finding.seed, finding.number, finding.number + 1, 600.0, finding.case)
         worker.run(known[finding.target], order, tally)
-        told = ", ".join(tally.outcomes) or tally.broken or f"skipped: {tally.skipped}"
+        outcome = ", ".join(tally.outcomes) or tally.broken or f"skipped: {tally.skipped}"
         bad = bool(tally.findings or tally.broken)
-        _say(f"{path.name}: {'FOUND' if bad else 'right'}: {told}")
+        _say(f"{path.name}: {'FOUND' if bad else 'right'}: {outcome}")
         for found in tally.findings.values():
             _say(f"  {found.where}\n  {found.detail}")
         status |= bad
@@ -156,11 +156,11 @@ def _memory_folder() -> str | None:
 
 
 def _line(tally: Tally) -> str:
-    told = ", ".join(f"{count} {what}" for what, count in sorted(tally.outcomes.items()))
+    outcome = ", ".join(f"{count} {what}" for what, count in sorted(tally.outcomes.items()))
     for word, why in (("skipped", tally.skipped), ("BROKEN", tally.broken)):
         if why:
-            told = f"{told}; " * bool(told) + f"{word}: {why}"
-    return f"{tally.name:<30} {tally.tried:>7} {len(tally.findings):>8}  {tally.seconds:>5.0f} s  {told}"
+            outcome = f"{outcome}; " * bool(outcome) + f"{word}: {why}"
+    return f"{tally.name:<30} {tally.tried:>7} {len(tally.findings):>8}  {tally.seconds:>5.0f} s  {outcome}"
 
 
 def _table(tallies: list[Tally], seconds: float, seed: int) -> None:

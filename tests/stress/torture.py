@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kills, starves, doubles and wears out PhysHDR, and says what came of it.
+"""Kills, starves, doubles and wears out PhysHDR, and reports how it held up.
 
     .venvs/backend/bin/python tests/stress/torture.py                     all of it: many hours of two cores
     .venvs/backend/bin/python tests/stress/torture.py --short             each attack a little: minutes
@@ -9,9 +9,9 @@
 
 Every attack has an oracle: what was killed is done again and must come out as if nothing had happened, bit
 for bit; what was refused must say so in one message with a remedy; what was used for long must have given
-everything back. The table is printed, and lies in WORK/torture.md with the rows of earlier calls; ends with
-1 where an attack was not borne. Killed itself it goes on: rows that are ok are not repeated without --fresh,
-and killed trainings go on where they were.
+everything back. The table is printed, and written to WORK/torture.md with the rows of earlier calls; the exit
+status is 1 if an attack failed. If killed itself, it resumes: rows that are ok are not repeated without
+--fresh, and killed trainings continue where they were.
 """
 
 import argparse
@@ -50,7 +50,7 @@ AT_ONCE = 3
 
 @dataclass(frozen=True)
 class Attack:
-    """``what``: told in the table. ``slow``: begun first in a short run, which does several at once."""
+    """``what``: shown in the table. ``slow``: begun first in a short run, which does several at once."""
 
     what: str
     do: Callable[[Bench], Result]
@@ -69,8 +69,8 @@ ATTACKS: dict[str, Attack] = {
     "kill-video": Attack("SIGKILL during video, done again", kill_commands.kill_video),
     "kill-frames": Attack("SIGKILL during numbered pictures, done again", kill_commands.kill_frames),
     "kill-prepare": Attack("SIGKILL during prepare, done again", kill_commands.kill_prepare, True),
-    "kill-benchmark": Attack("SIGKILL during a benchmark, gone on with", kill_commands.kill_benchmark, True),
-    "kill-render": Attack("SIGKILL during make_scene.py, gone on with", kill_commands.kill_render, True),
+    "kill-benchmark": Attack("SIGKILL during a benchmark, then resumed", kill_commands.kill_benchmark, True),
+    "kill-render": Attack("SIGKILL during make_scene.py, then resumed", kill_commands.kill_render, True),
     "disk-training": Attack("disk full at every write of a training", full_disk.disk_training),
     "disk-resume": Attack("disk full at every write of a resumed training", full_disk.disk_resume),
     "disk-export": Attack("disk full at every write of export", full_disk.disk_export),
@@ -94,7 +94,7 @@ def main() -> int:
     given = parser().parse_args()
     chosen = [n for n in ATTACKS if not given.only or any(fnmatch.fnmatch(n, p) for p in given.only)]
     if not chosen:
-        print(f"error: no attack is called that; there are: {', '.join(ATTACKS)}", file=sys.stderr)
+        print(f"error: there is no such attack; choose from: {',  '.join(ATTACKS)}", file=sys.stderr)
         return 2
     if not (BIN / "physhdr").exists():
         print(f"error: there is no {BIN / 'physhdr'}: make setup", file=sys.stderr)
@@ -128,17 +128,17 @@ def main() -> int:
     (work / TABLE_FILE).write_text(table(rows), encoding="utf-8")
     print(f"\n{shown}\n{work / TABLE_FILE}")
     failed = [row.name for row in done if row.verdict == "FAILED"]
-    say(f"{len(done)} attacks in {time.monotonic() - begun:.0f} s, {len(failed)} not borne")
+    say(f"{len(done)} attacks in {time.monotonic() - begun:.0f} s, {len(failed)} failed")
     return 1 if failed else 0
 
 
 def end_on_signals(work: Path, names: list[str]) -> None:
-    """CTRL-C and SIGTERM end it at once: what it started ends with it, what it mounted goes."""
+    """CTRL-C and SIGTERM end it at once: what it started ends with it, what it mounted is unmounted."""
 
     def end(*_: object) -> None:
         for name in names:
             full_disk.unmount_all(work / name)
-        os.write(2, b"\nstopped: the same command goes on\n")
+        os.write(2, b"\nstopped: repeat the command to resume\n")
         os._exit(130)
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -167,7 +167,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def attack_all(names: list[str], work: Path, options: Options, warm: Warm | None) -> list[Row]:
-    """The rows; in a short run several attacks at a time, for half of what they do is to wait."""
+    """The rows; in a short run several attacks at a time, because half of their time is waiting."""
     code = code_fingerprint()
 
     def start(*words: object, log: Path) -> Program:

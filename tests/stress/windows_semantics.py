@@ -7,7 +7,7 @@ What PhysHDR's own code asks of ``os`` is refused as Windows refuses it; tests a
   folder that holds one (Python opens without FILE_SHARE_DELETE); nor is a file that is read-only;
 * a rename does not replace, and no folder is opened or brought to the disk;
 * links need a right that users lack; names have no ``< > : " | ? *``, no dot or blank at their end, and are
-  none of the reserved ones. Names are also looked at after each test, in its folder, for what libraries and
+  none of the reserved ones. Names are also checked after each test, in its folder, for what libraries and
   children made, and for two that differ by their case alone;
 * a text is opened with its encoding named: the default would be cp1252.
 
@@ -37,7 +37,7 @@ OURS = tuple(f"{ROOT / room}{os.sep}" for room in ("addon", "backend", "bridge",
 #: Whose frames are passed over when it is asked who calls.
 LIBRARY = (sysconfig.get_path("stdlib") + os.sep, "<frozen ", __file__)
 INSTALLED = sysconfig.get_path("purelib") + os.sep
-#: Characters that no name of Windows' has, and names that are devices.
+#: Characters that no name on Windows has, and names that are devices.
 FORBIDDEN = set('<>:"|?*\\') | {chr(code) for code in range(32)}
 RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
 
@@ -67,7 +67,7 @@ def refused(code: int, path: object, winerror: int) -> OSError:
 
 
 def fault_of(name: str) -> str:
-    """Why a file cannot have that name; "" where it can."""
+    """Why a file cannot have that name; "" if it can."""
     if wrong := sorted(FORBIDDEN & set(name)):
         return f"has {''.join(wrong)!r}"
     if name not in (".", "..") and name[-1:] in (".", " "):
@@ -100,7 +100,7 @@ def held_by() -> Iterator[tuple[Path, int, int]]:
 
 
 def refuse_if_held(path: Any) -> None:
-    """As Windows does where a file, or one within a folder, is open or read-only."""
+    """As Windows does if a file, or one within a folder, is open or read-only."""
     try:
         found = os.lstat(path)
     except OSError:

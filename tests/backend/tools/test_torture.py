@@ -122,7 +122,7 @@ def test_a_kill_that_costs_too_much():
 
 def test_what_a_strangers_file_makes_happen_is_told_from_what_blender_does(tmp_path):
     """Lines of strace, and of the script that lives with the file in Blender."""
-    from torture_attacks.stranger import said_to_have_happened, traced
+    from torture_attacks.stranger import reported_events, traced
     from torture_attacks.watch import BEGIN, LIVED, NETWORK, places, watched
 
     before = [
@@ -142,11 +142,11 @@ def test_what_a_strangers_file_makes_happen_is_told_from_what_blender_does(tmp_p
         assert traced([*before, begins, *own, line], named) == [line]
     assert traced(before, named) == ["strace did not see the beginning"]
 
-    assert said_to_have_happened(f"Read blend: file.blend\n{LIVED}\n") == []
+    assert reported_events(f"Read blend: file.blend\n{LIVED}\n") == []
     with watched(str(tmp_path)) as found:
         (tmp_path / "x").exists()
-    assert said_to_have_happened(f"{found[0]}\n{LIVED}\n") == [f"os.stat {tmp_path / 'x'}"]
-    assert "did not come to its end: Segmentation fault" in said_to_have_happened("Segmentation fault")[0]
+    assert reported_events(f"{found[0]}\n{LIVED}\n") == [f"os.stat {tmp_path / 'x'}"]
+    assert "did not come to its end: Segmentation fault" in reported_events("Segmentation fault")[0]
 
 
 # ---- programs that are killed ----------------------------------------------------------------------------
@@ -159,9 +159,9 @@ def test_a_kill_takes_the_children_too_and_only_counts_if_it_came_in_time(tmp_pa
 
     two = "import subprocess, sys; p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True); p.wait()"
     program = Program([*PYTHON, two], tmp_path / "log")
-    assert program.until(lambda: program.said().strip() != "", 30.0)
+    assert program.until(lambda: program.output().strip() != "", 30.0)
     assert program.kill() and program.poll() == -signal.SIGKILL
-    child = int(program.said())
+    child = int(program.output())
     deadline = time.monotonic() + 10.0
     while is_running(child) and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -229,7 +229,7 @@ def test_pictures_are_evaluated_once_and_stand_in_the_tables(bench):
     assert (
         "`iterations-50/exp3/night/theirs/seed_1`: not run: there is no folder of others/night/seed_1" in text
     )
-    assert "method theirs: pictures of another program" in text and str(bench.root) not in text
+    assert "method theirs: another program's pictures" in text and str(bench.root) not in text
     assert progress_table(schedule).renderables
     again = bench.run()
     assert kinds(again)["day 0"] == "done" and not bench.calls() and not bench.lines

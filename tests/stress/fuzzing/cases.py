@@ -19,7 +19,7 @@ MESSAGE_MAX = 2000
 
 
 class InsaneError(Exception):
-    """A bad input was accepted, and what came of it is not what its type promises."""
+    """A bad input was accepted, and the result is not what its type promises."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that ended as none may. ``kind``: one word, and ``where``: what tells it from other findings."""
+    """A case that ended as none may. ``kind``: one word; ``where``: what distinguishes it from others."""
 
     target: str
     seed: int
@@ -119,9 +119,9 @@ def read_finding(path: Path) -> Finding:
 
 @dataclass
 class Tally:
-    """A row of the table: how many cases, and what became of them.
+    """A row of the table: how many cases, and how they ended.
 
-    ``skipped``: why it could not be tried here; ``broken``: why it did not come to its end: a fault.
+    ``skipped``: why it could not be tried here; ``broken``: why it did not finish, which is a fault.
     """
 
     name: str

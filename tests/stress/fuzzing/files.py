@@ -64,7 +64,7 @@ def write_jpegs(folder: Path) -> None:
 
 
 def write_exrs(folder: Path) -> None:
-    """Scan lines in every compression, tiles, half floats; what holds more than one picture is for others."""
+    """Scan lines in every compression, tiles, half floats; not files with several pictures."""
     import OpenEXR
 
     rgb = np.random.default_rng(0).uniform(0.0, 4.0, (HEIGHT, WIDTH, 3)).astype(np.float32)
@@ -95,7 +95,7 @@ def _tiles(mode: str) -> Any:
 
 
 def write_odd_exrs(folder: Path) -> None:
-    """Several parts and deep pixels: no reader of ours need take them, none may fall over them."""
+    """Several parts and deep pixels: none of our readers need accept them, none may fail on them."""
     import OpenEXR
 
     rgb = np.random.default_rng(0).uniform(0.0, 4.0, (HEIGHT, WIDTH, 3)).astype(np.float32)
@@ -234,16 +234,16 @@ def read_synth_png(folder: Path, file: str, _: bytes) -> None:
 
 
 def read_exif(folder: Path, file: str, _: bytes) -> None:
-    """What a camera wrote: where it is damaged it is as if it were not there."""
+    """What a camera wrote: if it is damaged, it counts as missing."""
     from physhdr.backend.scene.exif import read_exif
     from physhdr.backend.scene.exposures import exposures_from_exif
 
     found = read_exif(folder / file)
     for value in (found.time, found.iso, found.f_number):
         require(value is None or (math.isfinite(value) and value > 0.0), "a number of EXIF")
-    told = exposures_from_exif([folder / file])
-    if told is not None:
-        require(all(math.isfinite(x) and x > 0.0 for x in told[0]), "an exposure from EXIF")
+    exposures = exposures_from_exif([folder / file])
+    if exposures is not None:
+        require(all(math.isfinite(x) and x > 0.0 for x in exposures[0]), "an exposure from EXIF")
 
 
 def write_exif(folder: Path) -> None:
@@ -499,7 +499,7 @@ def write_log(folder: Path) -> None:
 
 
 def read_log(folder: Path, file: str, _: bytes) -> None:
-    """Damaged lines are left out; what is left can be sent."""
+    """Damaged lines are skipped; the rest can be sent."""
     from physhdr.backend.serve.curves import Curves
     from physhdr.bridge.messages import Envelope, decode, encode
 

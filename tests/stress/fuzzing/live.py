@@ -43,7 +43,7 @@ from .cases import Case, Finding, Tally
 from .frames import write_texts
 from .mutate import damage, damaged
 
-#: Seconds until a backend answers or has let go of what it held.
+#: Seconds until a backend answers or has released what it held.
 PATIENCE = 60.0
 #: Megabytes that a backend may have grown after all of it.
 GROWTH_MAX = 64.0
@@ -98,7 +98,7 @@ class Backend:
 
 
 class Raw:
-    """A TCP connection that says whatever it is told to say."""
+    """A TCP connection that sends whatever a test wants."""
 
     def __init__(self, connection: Connection, timeout: float = 20.0) -> None:
         self.socket = socket.create_connection((HOST, connection.port), timeout=timeout)
@@ -188,7 +188,7 @@ class Raw:
 
 
 class Attack:
-    """What was tried, and what came of it: one ``Tally`` for each kind."""
+    """What was tried, and the outcome: one ``Tally`` for each kind."""
 
     def __init__(self, backend: Backend, seed: int) -> None:
         self.backend, self.seed = backend, seed
@@ -479,7 +479,7 @@ def _crowds(attacks: Attack, share: float, quiet: dict[str, float]) -> None:
 
 
 def _behaves(connection: Connection) -> str:
-    """A client of ours: it is let in, told the status, and that within two seconds."""
+    """A client of ours: it is let in and receives the status, within two seconds."""
     begun = time.monotonic()
     with Raw(connection) as peer:
         if not isinstance(peer.enter(), Welcome):
@@ -511,7 +511,7 @@ def _ready(backend: Backend) -> None:
 
 
 def _afterwards(attacks: Attack, before: dict[str, float]) -> None:
-    """It holds no more than before, serves, ends with 0 when it is told to, and has logged no traceback."""
+    """It holds no more than before, serves, ends with 0 when asked to, and has logged no traceback."""
     backend = attacks.backend
     settled(backend, before)
     attacks.kind("a client afterwards", 3, lambda: _behaves(backend.connection))

@@ -36,7 +36,7 @@ def tests_module(path: str) -> Any:
 
 
 def once(folder: Path, make: Callable[[Path], Any]) -> None:
-    """Let ``make`` fill a folder, which appears when it is whole; of two that make it one is kept."""
+    """Let ``make`` fill a folder, which appears when it is whole; if two processes make it, one wins."""
     work = folder.with_name(f".{folder.name}.{os.getpid()}")
     make(work)
     try:
@@ -228,7 +228,7 @@ def _safetensors(whole: bytes, generator: random.Random) -> bytes:
             header, data = _packed(header, data)
     metadata = header.get("__metadata__") if isinstance(header, dict) else None
     if isinstance(metadata, dict) and metadata.get("digest") and generator.random() < 0.5:
-        metadata["digest"] = ""  # as a checkpoint of before there was one: what else is checked is met
+        metadata["digest"] = ""  # so that the other checks are reached
     try:
         text = damage.json_bytes(header)
     except (TypeError, ValueError):

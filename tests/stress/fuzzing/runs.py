@@ -93,7 +93,7 @@ def open_(folder: Path, file: str, _: bytes) -> None:
 
 
 def resume(folder: Path, file: str, _: bytes) -> None:
-    """As a training goes on, to its end; one that diverges must say so and leave the checkpoint alone."""
+    """Resume a training to its end; one that diverges must report that and leave the checkpoint alone."""
     from physhdr.backend.train.begin import resume as resumed
     from physhdr.backend.train.config import CONFIG_FILE, read_config
     from physhdr.backend.train.state import TrainingDivergedError
@@ -144,12 +144,12 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _workshop(told: list[Any]) -> Any:
+def _workshop(messages: list[Any]) -> Any:
     from physhdr.backend.runs.begin import Workshop
 
     return Workshop(
-        report=told.append,
-        expect=told.append,
+        report=messages.append,
+        expect=messages.append,
         compile_kernels=lambda needs: None,
         device="cpu",
         rasteriser="reference",
@@ -160,13 +160,13 @@ def exchange(folder: Path, file: str, _: bytes) -> None:
     """As a training resumes with another file in the place of one that it has seen: never silently."""
     from physhdr.backend.runs.begin import resume_run
 
-    told: list[Any] = []
-    with resume_run(folder / "run", folder / "data", _workshop(told)):
+    messages: list[Any] = []
+    with resume_run(folder / "run", folder / "data", _workshop(messages)):
         pass
     same = _digest(folder / file) == json.loads((folder / WHOLE).read_text())[file]
     # Held out pictures may be others, or be gone: then the split is not found as it was.
-    told = [str(line) for line in told]
-    reported = any("held-out pictures" in line or "divides them differently" in line for line in told)
+    lines = [str(message) for message in messages]
+    reported = any("held-out pictures" in line or "divides them differently" in line for line in lines)
     _require(same or reported, "another file than it was trained with")
 
 

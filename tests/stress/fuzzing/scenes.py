@@ -127,9 +127,9 @@ def inspect(folder: Path, _: str, __: bytes) -> None:
 
     for as_json in (True, False):
         output = io.BytesIO()
-        told = io.TextIOWrapper(output, encoding="utf-8")
-        with contextlib.redirect_stdout(told):
-            before, console.file = console.file, told
+        printed = io.TextIOWrapper(output, encoding="utf-8")
+        with contextlib.redirect_stdout(printed):
+            before, console.file = console.file, printed
             refused = None
             try:
                 Inspect(folders=(folder,), json=as_json).run()
@@ -137,10 +137,10 @@ def inspect(folder: Path, _: str, __: bytes) -> None:
                 refused = error
             finally:
                 console.file = before
-        told.flush()
+        printed.flush()
         if as_json:
             if not output.getvalue().startswith(b"{"):
-                raise InsaneError(f"inspect --json told no object but {output.getvalue()[:200]!r}: {refused}")
+                raise InsaneError(f"inspect --json: no object but {output.getvalue()[:200]!r}: {refused}")
             found = json.loads(output.getvalue().splitlines()[0])["found"]
             _require(found["folder"] == str(folder), "the JSON of physhdr inspect")
     if refused is not None:

@@ -78,7 +78,7 @@ class Worker:
             if ended is None:
                 break
             number, kind, detail = ended
-            if number < 0:  # before the first case: there is nothing to go on with
+            if number < 0:  # before the first case: there is nothing to continue with
                 tally.broken = f"{kind} while preparing: {detail}"
                 break
             case = order.case or make_case(
@@ -120,7 +120,7 @@ class Worker:
                 return start, (number, "crash", f"{name}\n{self._last_words()}")
             allowed = target.patience if number >= 0 else PREPARATION
             if since and time.monotonic() - since > allowed:
-                os.kill(self._process.pid, signal.SIGABRT)  # faulthandler tells where it was
+                os.kill(self._process.pid, signal.SIGABRT)  # faulthandler reports where it was
                 self._process.join(10.0)
                 self._process.kill()
                 self._process.join()
@@ -189,7 +189,7 @@ def _work(pipe: Connection, number: Any, since: Any, scratch: Path, log: Path) -
             if target.name not in benches:
                 benches[target.name] = _bench(target, scratch)
             bench, seeds = benches[target.name]
-        except Exception:  # noqa: BLE001 (whatever it is, it is told)
+        except Exception:  # noqa: BLE001 (whatever it is, it is reported)
             pipe.send([(-1, f"cannot be prepared: {traceback.format_exc(limit=-3)}")])
         else:
             pipe.send([(-1, finding) for finding in _whole(target, order, bench, seeds)])
@@ -200,7 +200,7 @@ def _work(pipe: Connection, number: Any, since: Any, scratch: Path, log: Path) -
 
 
 def _bench(target: Target, scratch: Path) -> tuple[Path, dict[str, dict[str, bytes]]]:
-    """A folder to try things in, and the whole inputs, which are made by whoever comes first."""
+    """A folder to try things in, and the undamaged inputs, which the first process makes."""
     made = seeds_folder(scratch, target)
     if not made.exists():
         once(made, target.prepare)
@@ -238,7 +238,7 @@ def _try(
     number: Any,
     since: Any,
 ) -> None:
-    begun = told = time.monotonic()
+    begun = reported = time.monotonic()
     outcomes: list[tuple[int, Any]] = []
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for current in range(order.start, order.stop):
@@ -260,9 +260,9 @@ def _try(
         if isinstance(outcome, tuple):
             outcome = Finding(target.name, order.seed, current, *outcome, case)
         outcomes.append((current, outcome))
-        if now - told > REPORT_EVERY:
+        if now - reported > REPORT_EVERY:
             pipe.send(outcomes)
-            outcomes, told = [], now
+            outcomes, reported = [], now
         if now - begun > order.seconds:
             break
     pipe.send(outcomes)
@@ -270,7 +270,7 @@ def _try(
 
 @contextmanager
 def _laid_out(target: Target, bench: Path, seeds: dict[str, dict[str, bytes]], case: Case) -> Iterator[None]:
-    """The case's file as it is to be; afterwards the whole one is there again."""
+    """The case's file in place; afterwards the undamaged one is restored."""
     if target.in_memory:
         yield
         return
@@ -315,16 +315,16 @@ def _fault_of(error: Exception, target: Target, folder: Path, case: Case) -> tup
     text, cause = str(error), error.__cause__ or error.__context__
     if isinstance(cause, MemoryError):
         return "memory", _place(cause), f"it asked for more than {ADDRESS_SPACE_MAX >> 30} GiB: {text}"
-    told = text[: MESSAGE_MAX // 2]
+    shown = text[: MESSAGE_MAX // 2]
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        return "unprintable message", _place(error), repr(told)
+        return "unprintable message", _place(error), repr(shown)
     if not text.strip() or len(text) > MESSAGE_MAX:
-        return "unclear message", _place(error), f"{len(text)} characters: {told}"
+        return "unclear message", _place(error), f"{len(text)} characters: {shown}"
     named = (str(folder), Path(case.file).name, Path(case.file).stem)
     if target.names_place and not any(name in text for name in named):
-        return "message names no file", _place(error), told
+        return "message names no file", _place(error), shown
     return None
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every attack is given: folders, commands, data to attack with; and what it gives back."""
+"""What every attack gets: folders, commands, data to attack with; and what it returns."""
 
 import dataclasses
 import hashlib
@@ -31,7 +31,7 @@ PATIENCE = 900.0
 
 @dataclass
 class Result:
-    """What came of an attack: how often, of what, complaints (none: it was borne), facts worth telling."""
+    """The result of an attack: how often, of what, complaints (none: it was withstood), facts to note."""
 
     unit: str
     tries: int = 0
@@ -121,11 +121,11 @@ class Bench:
         return Program([BLENDER, script, "--", *words], log or self.folder / "commands.log")
 
     def done(self, program: Program, patience: float = PATIENCE) -> list[str]:
-        """Wait for the program's good end."""
-        return badly_ended(program.wait(patience), program.said())
+        """Wait for the program to end well."""
+        return badly_ended(program.wait(patience), program.output())
 
     def must(self, program: Program, patience: float = PATIENCE) -> None:
-        """The same of a preparation, without which the attack has no meaning."""
+        """The same for a preparation, without which the attack is meaningless."""
         if complaints := self.done(program, patience):
             raise RuntimeError(f"{' '.join(program.words)}: {complaints[0]} (see {program.log})")
 
@@ -150,7 +150,7 @@ def module_of(path: Path) -> ModuleType:
 
 
 class Store:
-    """Makes the material when it is first asked for, once; it stays in ``work`` for the next time."""
+    """Makes the material once, when it is first needed; it stays in ``work`` for the next time."""
 
     def __init__(self, work: Path, short: bool, start: Callable[..., Program]) -> None:
         self.folder = work / "made" / "material"
@@ -173,13 +173,13 @@ class Store:
             tiny.write_tiny_scene(data, size, gaussians, views)
         words = ["train", data, "--out", run, "--overwrite", "--iterations", iterations, "--threads", 1]
         program = self._start(*words, log=self.folder / "commands.log")
-        if complaints := badly_ended(program.wait(PATIENCE), program.said()):
+        if complaints := badly_ended(program.wait(PATIENCE), program.output()):
             raise RuntimeError(f"the small run cannot be trained: {complaints[0]} (see {program.log})")
         return Material(data, run, iterations)
 
 
 def code_fingerprint() -> str:
-    """Of all code that runs here: what another version made is no reference."""
+    """Of all code that runs here: another version's results are no reference."""
     digest = hashlib.sha256()
     for room in ("bridge", "backend", "lab", "synth", "addon"):
         for path in sorted((ROOT / room).rglob("*.py")):
@@ -222,7 +222,7 @@ def rows_in(work: Path) -> list[Row]:
 
 
 def row_of(name: str, what: str, attack: Callable[[Bench], Result], bench: Bench, code: str) -> Row:
-    """Do it; whatever it raises but a skip and CTRL-C is a failure of the row."""
+    """Do it; anything it raises except a skip and CTRL-C is a failure of the row."""
     begun = time.monotonic()
 
     def row(count: str, verdict: str, outcome: str) -> Row:

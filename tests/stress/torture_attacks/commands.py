@@ -13,13 +13,13 @@ from .bench import PATIENCE, Bench, module_of
 from .oracle import SkipError, finals
 from .processes import ROOT, Program
 
-#: Bytes are given out by disks in pages of so many.
+#: Disks allocate bytes in pages of this many.
 PAGE = 4096
 #: How often a folder is looked at for a change, seconds.
 CHANGES_EVERY = 0.001
 #: It names the folder that it was made in.
 PREPARE_VARYING = ("data/prepare.json",)
-#: What logs and records of times hold differs from run to run.
+#: Logs and records of times differ from run to run.
 BENCHMARK_VARYING = ("*/log.jsonl", "*/benchmark.log", "*/tensorboard/*", "*/run.json", "report.*", "facts/*")
 
 
@@ -34,7 +34,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Reference:
-    """What an undisturbed command made: its folder, seconds, and how often the folder changed meanwhile."""
+    """An undisturbed command's output: its folder, seconds, and how often the folder changed meanwhile."""
 
     folder: Path
     seconds: float
@@ -58,13 +58,13 @@ def reference_of(bench: Bench, command: Command) -> Reference:
             program = command.start(home / "out")
             program.until(changes.look, PATIENCE, CHANGES_EVERY)
             bench.must(program)
-            told = {"seconds": time.monotonic() - begun, "changes": changes.count}
-            record.write_text(json.dumps(told), encoding="utf-8")
+            took = {"seconds": time.monotonic() - begun, "changes": changes.count}
+            record.write_text(json.dumps(took), encoding="utf-8")
         return Reference(home / "out", **json.loads(record.read_text(encoding="utf-8")))
 
 
 class Changes:
-    """Counts how often the files in a folder became others (more, fewer, other names)."""
+    """Counts how often the files in a folder changed (more, fewer, other names)."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.count = folder, 0

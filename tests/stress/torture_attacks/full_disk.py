@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A disk that is full at one write after the other: a tmpfs of every size between nothing and enough."""
+"""A disk that is full at one write after another: a tmpfs of every size between nothing and enough."""
 
 import os
 import shutil
@@ -42,8 +42,8 @@ class Tmpfs:
 
     @property
     def used(self) -> int:
-        told = os.statvfs(self.path)
-        return (told.f_blocks - told.f_bfree) * told.f_frsize
+        disk = os.statvfs(self.path)
+        return (disk.f_blocks - disk.f_bfree) * disk.f_frsize
 
     def clear(self) -> None:
         for entry in self.path.iterdir():
@@ -51,7 +51,7 @@ class Tmpfs:
 
 
 def unmount_all(folder: Path) -> None:
-    """What a torture that was killed has left mounted under the folder."""
+    """What a killed run of the torture has left mounted under the folder."""
     try:
         mounts = [Path(line.split()[1]) for line in Path("/proc/self/mounts").read_text().splitlines()]
     except OSError:  # not Linux: nothing was mounted
@@ -67,7 +67,7 @@ def tmpfs(path: Path) -> Iterator[Tmpfs]:
     if sys.platform != "linux" or not hasattr(os, "geteuid") or os.geteuid() != 0:
         raise SkipError("mounting a tmpfs needs Linux and root")
     path.mkdir(parents=True, exist_ok=True)
-    while os.path.ismount(path):  # of a torture that was killed
+    while os.path.ismount(path):  # left by a killed run of the torture
         subprocess.run(["umount", "-l", path], check=True)
     try:
         _mount("-t", "tmpfs", "-o", f"size={PLENTY}", "torture", path)
@@ -97,7 +97,7 @@ def sweep(
 ) -> Result:
     """The command at ``sizes`` free sizes up to what it needs; in a short run at one, half of ``least``.
 
-    ``least``: bytes that are there in the end. ``fill``: what lies there before. ``differs``: whether the
+    ``least``: bytes of the final output. ``fill``: what is there before. ``differs``: whether the
     output is not the undisturbed one's. ``damaged``: what must not be, right after the disk was full.
     ``start_again``: with room again.
     """
@@ -126,10 +126,10 @@ def sweep(
         where = f"{free // 1024} of {peak // 1024} KiB free"
         result.tries += 1
         if status == 0 and not differs(out):  # it needed less than at its peak before
-            result.complain(badly_ended(status, program.said()), where)
+            result.complain(badly_ended(status, program.output()), where)
         else:
             refused += 1
-            result.complain(badly_refused(status, program.said(), str(disk.path)), where)
+            result.complain(badly_refused(status, program.output(), str(disk.path)), where)
             result.complain(damaged(out), where)
         disk.resize(PLENTY)
         result.complain(bench.done(start_again(out)), f"{where}, then room")
@@ -149,7 +149,7 @@ def _peak(disk: Tmpfs, program: Program) -> int:
         return False
 
     program.until(look, PATIENCE, 0.0005)
-    if complaints := badly_ended(program.wait(PATIENCE), program.said()):
+    if complaints := badly_ended(program.wait(PATIENCE), program.output()):
         raise RuntimeError(f"it does not run on an empty disk: {complaints[0]}")
     return max(most, disk.used)
 
@@ -162,7 +162,7 @@ def _words(bench: Bench) -> tuple[object, ...]:
 
 
 def disk_training(bench: Bench) -> Result:
-    """From its first iteration; with room again it begins anew, or goes on where it had saved."""
+    """From its first iteration; with room again it starts over, or resumes where it had saved."""
     data, words = bench.material.data, _words(bench)
     save = ("--checkpoint-seconds", 0.1)
     reference = bench.empty("reference")
@@ -197,7 +197,7 @@ def disk_resume(bench: Bench) -> Result:
     bench.must(bench.physhdr("train", data, "--out", reference, *words))
     # As the disk fills while it trains: stopped somewhere, with everything saved.
     program = bench.physhdr("train", data, "--out", stopped, *words)
-    program.until(lambda: BEGUN in program.said(), PATIENCE, 0.001)
+    program.until(lambda: BEGUN in program.output(), PATIENCE, 0.001)
     program.interrupt()
     program.wait(PATIENCE)
     saved = int(checkpoint(stopped / CHECKPOINT)[1]["iteration"])
@@ -230,10 +230,10 @@ def _not_trained(out: Path, reference: Path) -> list[str]:
 
 
 def _damaged(out: Path, at_least: int = 0) -> list[str]:
-    """The checkpoint loads, and is no older than what was there; where there was none there may be none."""
+    """The checkpoint loads, and is no older than the one before; if there was none, there may be none."""
     path = out / CHECKPOINT
     if not path.exists():
-        return [f"{path} is gone"] if at_least else []
+        return [f"{path} is missing"] if at_least else []
     try:
         iteration = int(checkpoint(path)[1]["iteration"])
     except Exception as error:  # noqa: BLE001 (whatever it is, a full disk must not damage a checkpoint)

@@ -33,7 +33,7 @@ def kill(make: Callable[[Bench], Command]) -> Callable[[Bench], Result]:
             program = command.start(out)
             where = _kill(bench, program, out, number, undisturbed)
             if where is None:
-                result.complain(tracebacks(program.said()))
+                result.complain(tracebacks(program.output()))
             else:
                 result.tries += 1
             label = f"killed {where or 'too late'}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""SIGKILL to trainings, which then go on and must end as if nothing had happened, bit for bit."""
+"""SIGKILL to trainings, which then resume and must end as if nothing had happened, bit for bit."""
 
 import hashlib
 import json
@@ -33,9 +33,9 @@ BEGUN = "training from"
 #: How often the killed trainings save, seconds; every fifth has the command's own default.
 SECONDS_BETWEEN = 5.0
 #: What a kill may cost, seconds, and in a short run. Saving takes a fiftieth of the time at most, so that the
-#: command saves less often than it is told where the disk is busy.
+#: command saves less often than requested if the disk is busy.
 LOST_AT_MOST, LOST_IN_SHORT = 60.0, 15.0
-#: What an undisturbed training may take, seconds, on a machine that does other things as well.
+#: What an undisturbed training may take, seconds, on a machine that is also doing other things.
 LONG = 7200.0
 #: Where chosen moments are looked for, how often: a small checkpoint is written in milliseconds.
 FINE = 0.0005
@@ -52,8 +52,8 @@ class Size:
 
     @property
     def key(self) -> str:
-        told = [str(self.data.resolve()), [str(word) for word in self.words], code_fingerprint()]
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:10]
+        identity = [str(self.data.resolve()), [str(word) for word in self.words], code_fingerprint()]
+        return hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:10]
 
 
 def size_of(bench: Bench) -> Size:
@@ -67,27 +67,27 @@ def size_of(bench: Bench) -> Size:
 
 
 def kill_trainings(bench: Bench) -> Result:
-    """``trainings`` × ``kills``, several at a time; what is done is kept in the folder."""
+    """``trainings`` × ``kills``, several at a time; finished ones stay in the folder."""
     size = size_of(bench)
     kills = 4 if bench.short else bench.options.kills
     count = 1 if bench.short else bench.options.trainings
     home = bench.folder / size.key
     _old_run(bench, size, home)
     with ThreadPoolExecutor(1 if bench.short else bench.options.jobs) as pool:
-        told = list(pool.map(lambda n: Killed(bench, size, home, n, kills).run(), range(count)))
-    while _kills(told) < count * kills and len(told) < 2 * count:  # some came to their end too early
-        told.append(Killed(bench, size, home, len(told), count * kills - _kills(told)).run())
-    result = Result("kills", tries=_kills(told))
+        done = list(pool.map(lambda n: Killed(bench, size, home, n, kills).run(), range(count)))
+    while _kills(done) < count * kills and len(done) < 2 * count:  # some ended too early
+        done.append(Killed(bench, size, home, len(done), count * kills - _kills(done)).run())
+    result = Result("kills", tries=_kills(done))
     at_most = LOST_IN_SHORT if bench.short else LOST_AT_MOST
-    for each in told:
+    for each in done:
         result.complain(each["complaints"], f"seed {each['seed']}")
         result.complain(too_dear(each["kills"], at_most), f"seed {each['seed']}")
-    blows = [kill for each in told for kill in each["kills"]]
+    blows = [kill for each in done for kill in each["kills"]]
     moments = {name: sum(blow["moment"] == name for blow in blows) for name in MOMENTS}
     cost = [blow["lost"] for blow in blows] or [0.0]
-    identical = sum(each["identical"] for each in told)
+    identical = sum(each["identical"] for each in done)
     result.facts += [
-        f"{identical} of {len(told)} trainings bit-identical with undisturbed ones",
+        f"{identical} of {len(done)} trainings bit-identical with undisturbed ones",
         "kills: " + ", ".join(f"{number} {name}" for name, number in moments.items() if number),
         f"{sum(blow['saved'] is None for blow in blows)} before the first checkpoint",
         f"a kill cost {statistics.median(cost):.1f} s of training, {max(cost):.1f} s at most",
@@ -102,8 +102,8 @@ def too_dear(kills: list[dict[str, Any]], at_most: float) -> list[str]:
     ]
 
 
-def _kills(told: list[dict[str, Any]]) -> int:
-    return sum(len(each["kills"]) for each in told)
+def _kills(done: list[dict[str, Any]]) -> int:
+    return sum(len(each["kills"]) for each in done)
 
 
 def _old_run(bench: Bench, size: Size, home: Path) -> None:
@@ -188,36 +188,36 @@ class Killed:
         return str(self.rng.choice(left)) if chosen else "random"
 
     def _strike(self, moment: str) -> bool:
-        """Go on and be killed; False where the training came to its end before."""
+        """Resume and be killed; False if the training ended before."""
         left_behind = temporaries(self.folder)
-        program = self._go_on()
+        program = self._resume()
         landed = self._wait_and_kill(program, moment)
         killed = time.time()
-        said = program.said()
-        if BEGUN in said and (stale := [path for path in left_behind if _is_older(path, program.started)]):
+        output = program.output()
+        if BEGUN in output and (stale := [path for path in left_behind if _is_older(path, program.started)]):
             self._complain([f"the next start left {stale[0].name} of the killed one"])
         if not landed:
             if program.poll() not in (0, None):
-                self._complain([f"it ended with {program.poll()}: {said.strip()[-300:]}"])
+                self._complain([f"it ended with {program.poll()}: {output.strip()[-300:]}"])
                 return False
             return program.poll() is None
         self._judge(moment, program, killed)
         return True
 
-    def _go_on(self) -> Program:
-        """``--resume``, or from the beginning where there is nothing to resume."""
+    def _resume(self) -> Program:
+        """``--resume``, or from the beginning if there is nothing to resume."""
         words = ("--threads", self.bench.options.threads, *self.options)
         ours = not self._is_the_old_run() and (self.folder / CONFIG).exists()
         if ours and (self.folder / CHECKPOINT).exists():
             program = self.bench.physhdr("train", "--resume", self.folder, *words, log=self.log)
             if not self._has_old_weights():
                 return program
-            # The run that was replaced has left its weights: to go on from them would be another training.
-            if program.until(lambda: BEGUN in program.said(), PATIENCE):
+            # The replaced run has left its weights: resuming from them would be another training.
+            if program.until(lambda: BEGUN in program.output(), PATIENCE):
                 self._complain(["old weights were resumed under a new configuration"])
                 program.kill()
             else:
-                self._complain(badly_refused(program.poll() or 0, program.said(), str(self.folder)))
+                self._complain(badly_refused(program.poll() or 0, program.output(), str(self.folder)))
         words = ("--seed", self.seed, *self.size.words, *self.options)
         return self.bench.physhdr(
             "train", self.size.data, "--out", self.folder, "--overwrite", *words, log=self.log
@@ -243,17 +243,17 @@ class Killed:
             program.until(lambda: False, time_until, every=0.005)
             return program.kill()
         if moment == "begun":
-            program.until(lambda: BEGUN in program.said(), patience, every=0.005)
+            program.until(lambda: BEGUN in program.output(), patience, every=0.005)
         elif moment == "overwriting":
             watched = CONFIG if self.rng.random() < 0.5 else CHECKPOINT
             before = _stamp(self.folder / watched)
             program.until(lambda: _stamp(self.folder / watched) != before, patience, FINE)
         elif moment == "saving":
-            program.until(lambda: BEGUN in program.said(), patience, every=0.005)
+            program.until(lambda: BEGUN in program.output(), patience, every=0.005)
             program.until(self._is_saving, patience, FINE)
         else:
             log = self.folder / LOG
-            program.until(lambda: BEGUN in program.said(), patience, every=0.005)
+            program.until(lambda: BEGUN in program.output(), patience, every=0.005)
             program.until(lambda: self._last_told(log) >= self.total, patience, every=0.002)
             program.until(self._is_saving, 5.0, FINE)
         return program.kill()
@@ -272,14 +272,14 @@ class Killed:
             with open(log, "rb") as file:
                 file.seek(max(0, log.stat().st_size - 4096))
                 lines = file.read().decode("utf-8", "replace").splitlines()
-            told = [json.loads(line) for line in lines[-2:] if line.startswith("{") and line.endswith("}")]
-            return max(event["iteration"] for event in told)
+            last = [json.loads(line) for line in lines[-2:] if line.startswith("{") and line.endswith("}")]
+            return max(event["iteration"] for event in last)
         return 0
 
     # -- what is left ----------------------------------------------------------------------------------
 
     def _iteration(self) -> int:
-        """What the folder's checkpoint is at; 0 without one, or with another run's."""
+        """The iteration of the folder's checkpoint; 0 without one, or with another run's."""
         if self._is_the_old_run() or not (self.folder / CHECKPOINT).exists():
             return 0
         with suppress(Exception):
@@ -288,15 +288,15 @@ class Killed:
 
     def _judge(self, moment: str, program: Program, killed: float) -> None:
         path, saved = self.folder / CHECKPOINT, None
-        self._complain(tracebacks(program.said()))
+        self._complain(tracebacks(program.output()))
         if path.exists():
             try:
                 saved = int(checkpoint(path)[1]["iteration"])
             except Exception as error:  # noqa: BLE001 (whatever it is, a kill must not damage a checkpoint)
                 self._complain([f"after a kill ({moment}) {path} is damaged: {error}"])
-        told = [event for event in events(self.folder / LOG) if event["time"] >= program.started]
+        logged = [event for event in events(self.folder / LOG) if event["time"] >= program.started]
         old = self._has_old_weights() or self._is_the_old_run()
-        lost = 0.0 if old else lost_seconds(told, saved or 0, killed)
+        lost = 0.0 if old else lost_seconds(logged, saved or 0, killed)
         blow = {"moment": moment, "saved": None if old else saved, "lost": lost, "time": killed}
         self.state["kills"].append(blow)
         self._write()
@@ -308,7 +308,7 @@ class Killed:
         for number in range(3):
             if number and self._iteration() >= self.total:
                 break  # one start at least, which tidies up after the last kill
-            self._complain(self.bench.done(self._go_on(), LONG))
+            self._complain(self.bench.done(self._resume(), LONG))
         differing = different_tensors(self.folder / CHECKPOINT, self.twin / CHECKPOINT)
         self._complain(differing)
         if (self.folder / CONFIG).read_bytes() != (self.twin / CONFIG).read_bytes():
@@ -354,7 +354,7 @@ def kill_overwriting(bench: Bench) -> Result:
     """A finished run is replaced by one of another configuration, which is killed as it begins.
 
     What is in the folder afterwards is the old run or the new one, never the one's weights under the other's
-    configuration: whatever --resume makes of it ends as one of the two would have ended.
+    configuration: whatever --resume does with it ends as one of the two would have ended.
     """
     data, threads = bench.material.data, ("--threads", 1)
     old_words = ("train", data, "--iterations", 60, *threads)
@@ -374,9 +374,9 @@ def kill_overwriting(bench: Bench) -> Result:
             name = CONFIG if where == "config" else CHECKPOINT
             program.until(lambda n=name, s=stamps: _stamp(run / n) != s[n], PATIENCE, FINE)
         elif where == "begun":
-            program.until(lambda p=program: BEGUN in p.said(), PATIENCE, FINE)
+            program.until(lambda p=program: BEGUN in p.output(), PATIENCE, FINE)
         else:
-            program.until(lambda p=program: "computing" in p.said(), PATIENCE, FINE)
+            program.until(lambda p=program: "computing" in p.output(), PATIENCE, FINE)
             program.until(lambda: False, bench.rng.uniform(0.0, 1.0), FINE)
         result.tries += program.kill()
         result.complain(_judge_overwritten(bench, run, old, new), f"killed at '{where}'")
@@ -401,7 +401,7 @@ def _judge_overwritten(bench: Bench, run: Path, old: Path, new: Path) -> list[st
     if may_open:
         complaints += bench.done(exported)
     else:
-        complaints += [f"export: {c}" for c in badly_refused(status, exported.said(), str(run))]
+        complaints += [f"export: {c}" for c in badly_refused(status, exported.output(), str(run))]
     resumed = bench.physhdr("train", "--resume", run, "--threads", 1)
     status = resumed.wait(PATIENCE)
     if status == 0 and twin is not None:
@@ -409,5 +409,5 @@ def _judge_overwritten(bench: Bench, run: Path, old: Path, new: Path) -> list[st
     elif may_open:
         complaints += bench.done(resumed)
     else:
-        complaints += [f"resume: {c}" for c in badly_refused(status, resumed.said(), str(run))]
+        complaints += [f"resume: {c}" for c in badly_refused(status, resumed.output(), str(run))]
     return complaints

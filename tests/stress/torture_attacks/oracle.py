@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who says whether an attack was borne: every function returns complaints, none where all is well."""
+"""Judges whether an attack was withstood: every function returns complaints, none if all is well."""
 
 import json
 import re
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-#: What says how long something took differs between two equal runs.
+#: Fields that say how long something took: they differ between two equal runs.
 TIMES = ("seconds", "cpu_seconds")
-#: The least that a message of an error must have beside its first line.
+#: The fewest words that an error message must have beside its first line.
 REMEDY_WORDS = 3
 #: Memory may end this much above where it was after the warm-up.
 GROWTH = 0.10
@@ -27,13 +27,13 @@ class SkipError(Exception):
 
 
 def temporaries(folder: Path) -> list[Path]:
-    """Files that have not got their final name: hidden ones and ``*.partial``; locks are none."""
+    """Files without their final name: hidden ones and ``*.partial``, but not locks."""
     found = [path for path in _walk(folder) if path.name.startswith(".") or ".partial" in path.suffixes]
     return [path for path in found if "lock" not in path.name and path.name != "dataset.partial.json"]
 
 
 def finals(folder: Path) -> list[Path]:
-    """Files under their final names; none in a folder that is not there, or in hidden ones."""
+    """Files under their final names; none in a missing folder, or in hidden ones."""
     unfinished = set(temporaries(folder))
     return [
         path
@@ -111,8 +111,8 @@ def _tensors(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def different_tensors(one: Path, other: Path) -> list[str]:
-    """Bit for bit: names, types, shapes, bits; and metadata but for times."""
-    (first, said), (second, told) = _tensors(one), _tensors(other)
+    """Bit for bit: names, types, shapes, bits; and metadata except times."""
+    (first, ours), (second, theirs) = _tensors(one), _tensors(other)
     complaints = [f"tensor {name} is in one of them alone" for name in sorted(first.keys() ^ second.keys())]
     for name in sorted(first.keys() & second.keys()):
         a, b = first[name].contiguous(), second[name].contiguous()
@@ -120,9 +120,9 @@ def different_tensors(one: Path, other: Path) -> list[str]:
             complaints.append(f"tensor {name}: {tuple(a.shape)} {a.dtype} and {tuple(b.shape)} {b.dtype}")
         elif not np.array_equal(_bytes(a), _bytes(b)):
             complaints.append(f"tensor {name} differs")
-    for key in sorted((said.keys() | told.keys()) - {*TIMES, "digest"}):  # which is of the times, too
-        if said.get(key) != told.get(key):
-            complaints.append(f"metadata {key}: {said.get(key)} and {told.get(key)}")
+    for key in sorted((ours.keys() | theirs.keys()) - {*TIMES, "digest"}):  # which includes the times
+        if ours.get(key) != theirs.get(key):
+            complaints.append(f"metadata {key}: {ours.get(key)} and {theirs.get(key)}")
     return [f"{one} and {other}: {complaint}" for complaint in complaints[:4]]
 
 
@@ -131,7 +131,7 @@ def _bytes(tensor: Any) -> np.ndarray:
 
 
 def different_files(one: Path, other: Path) -> list[str]:
-    """Whether two files say the same: byte for byte, or of the kinds that tell times, all the rest of it."""
+    """Whether two files differ: byte for byte, or for kinds that contain times, in all the rest."""
     try:
         if one.read_bytes() == other.read_bytes():
             return []
@@ -157,14 +157,14 @@ def _timeless(value: Any) -> Any:
 
 
 def different_folders(made: Path, reference: Path, varying: Sequence[str] = ()) -> list[str]:
-    """Whether ``made`` holds what ``reference`` does; of ``varying`` names only that they are whole."""
+    """Whether ``made`` holds what ``reference`` does; ``varying`` names need only be whole."""
     there, wanted = ({path.relative_to(root): path for path in finals(root)} for root in (made, reference))
     there, wanted = (
         {inside: path for inside, path in files.items() if not _varies(inside, varying)}
         for files in (there, wanted)
     )
     complaints = [f"{made / name} is missing" for name in sorted(wanted.keys() - there.keys())]
-    complaints += [f"{made / name} is too much" for name in sorted(there.keys() - wanted.keys())]
+    complaints += [f"{made / name} should not exist" for name in sorted(there.keys() - wanted.keys())]
     for name in sorted(there.keys() & wanted.keys()):
         complaints += different_files(there[name], wanted[name])
     for path in finals(made):
@@ -174,7 +174,7 @@ def different_folders(made: Path, reference: Path, varying: Sequence[str] = ()) 
 
 
 def unfinished_finals(made: Path, reference: Path, varying: Sequence[str] = ()) -> list[str]:
-    """After a kill: what has its final name is whole, and where its content is known, has that content."""
+    """After a kill: files with their final names are whole, and have the known content if there is one."""
     complaints = []
     for path in finals(made):
         inside = path.relative_to(made)
@@ -189,26 +189,26 @@ def _varies(inside: Path, varying: Sequence[str]) -> bool:
     return any(fnmatch(inside.as_posix(), pattern) for pattern in varying)
 
 
-# ---- what a program says ---------------------------------------------------------------------------------
+# ---- a program's output ----------------------------------------------------------------------------------
 
 
-def tracebacks(said: str) -> list[str]:
-    """A traceback, wherever it comes from, is no message for a user."""
+def tracebacks(output: str) -> list[str]:
+    """A traceback, wherever it comes from, is not a message for a user."""
     for word in ("Traceback (most recent call last)", "Exception ignored", "Fatal Python error"):
-        if word in said:
-            last = said[said.index(word) :].strip().splitlines()
-            return [f"it says '{word}': {' … '.join(line.strip() for line in last[-2:])}"]
+        if word in output:
+            last = output[output.index(word) :].strip().splitlines()
+            return [f"it printed '{word}': {' … '.join(line.strip() for line in last[-2:])}"]
     return []
 
 
-def badly_refused(status: int, said: str, *names: str) -> list[str]:
+def badly_refused(status: int, output: str, *names: str) -> list[str]:
     """A refusal ends with another status than 0 and one message: what, where (``names``), the remedy."""
-    complaints = tracebacks(said)
+    complaints = tracebacks(output)
     if status == 0:
         complaints.append("it ended with 0, as if all were well")
     elif status < 0:
         complaints.append(f"it was ended by signal {-status}")
-    lines = said.splitlines()
+    lines = output.splitlines()
     errors = [i for i, line in enumerate(lines) if line.startswith("error:")]
     if len(errors) != 1:
         last = lines[-1] if lines else "nothing"
@@ -217,19 +217,18 @@ def badly_refused(status: int, said: str, *names: str) -> list[str]:
     shown = " ".join(lines[errors[0] : errors[0] + 2])
     complaints += [f"the message does not name {name}: {shown}" for name in names if name not in message]
     first, *rest = lines[errors[0] :]
-    said_after = re.split(r"[?:;.] ", first)[
-        2:
-    ]  # "error", what is wrong, and Blender's side goes on in the line
-    if len(" ".join([*said_after, *rest]).split()) < REMEDY_WORDS:
+    # After "error" and what is wrong; Blender's side continues in the same line.
+    after = re.split(r"[?:;.] ", first)[2:]
+    if len(" ".join([*after, *rest]).split()) < REMEDY_WORDS:
         complaints.append(f"the message has no remedy: {shown}")
     return complaints
 
 
-def badly_ended(status: int, said: str) -> list[str]:
-    """A program that nothing was done to ends with 0 and says no error."""
-    complaints = tracebacks(said)
+def badly_ended(status: int, output: str) -> list[str]:
+    """An undisturbed program ends with 0 and prints no error."""
+    complaints = tracebacks(output)
     if status:
-        last = [line for line in said.splitlines() if line.strip()][-2:]
+        last = [line for line in output.splitlines() if line.strip()][-2:]
         complaints.append(f"it ended with {status}: {' '.join(line.strip() for line in last)}")
     return complaints
 
@@ -238,8 +237,8 @@ def badly_ended(status: int, said: str) -> list[str]:
 
 
 def events(log: Path) -> list[dict[str, Any]]:
-    """What a run's log tells; a last line that a kill cut off is none."""
-    told = []
+    """The events in a run's log, without a last line that a kill cut off."""
+    found = []
     try:
         lines = log.read_bytes().decode("utf-8", "replace").splitlines()
     except OSError:
@@ -250,22 +249,22 @@ def events(log: Path) -> list[dict[str, Any]]:
         except ValueError:
             continue
         if isinstance(event, dict) and "event" in event:
-            told.append(event)
-    return told
+            found.append(event)
+    return found
 
 
-def lost_seconds(told: Iterable[dict[str, Any]], saved: int, killed: float) -> float:
-    """Seconds of training that a kill at the time ``killed`` cost, where iteration ``saved`` is on disk.
+def lost_seconds(logged: Iterable[dict[str, Any]], saved: int, killed: float) -> float:
+    """Seconds of training that a kill at the time ``killed`` cost, if iteration ``saved`` is on disk.
 
-    ``told``: the log's events since the process began. 0 where training had not begun.
+    ``logged``: the log's events since the process began. 0 if training had not begun.
     """
-    told = list(told)
-    begun = next((event for event in told if event["event"] == "started"), None)
+    logged = list(logged)
+    begun = next((event for event in logged if event["event"] == "started"), None)
     if begun is None:
         return 0.0
     reached = begun["time"]
     if saved > begun["iteration"]:
-        after = [e["time"] for e in told if e["event"] in ("progress", "saved") and e["iteration"] >= saved]
+        after = [e["time"] for e in logged if e["event"] in ("progress", "saved") and e["iteration"] >= saved]
         reached = after[0] if after else killed  # it was written, and its event was not
     return max(0.0, killed - reached)
 
@@ -277,7 +276,7 @@ def grown(values: Sequence[float], bound: float = GROWTH) -> list[str]:
     """Whether the median of the last quarter is above that of the second (the first is the warm-up)."""
     quarter = len(values) // 4
     if quarter < 1:
-        return [f"{len(values)} samples are too few to tell growth from noise"]
+        return [f"{len(values)} samples are too few to distinguish growth from noise"]
     early = statistics.median(values[quarter : 2 * quarter])
     late = statistics.median(values[-quarter:])
     if late > early * (1.0 + bound):
@@ -286,5 +285,5 @@ def grown(values: Sequence[float], bound: float = GROWTH) -> list[str]:
 
 
 def not_given_back(what: str, before: int, after: int) -> list[str]:
-    """Threads, descriptors: at rest as many as at rest before."""
+    """Threads, descriptors: as many at rest as before."""
     return [f"{what}: {before} at rest after the first round, {after} at the end"] if after > before else []

@@ -24,7 +24,7 @@ LOOK_EVERY = 0.02
 
 
 class StuckError(Exception):
-    """A program did not end in its time."""
+    """A program did not end in time."""
 
 
 def die_with_parent() -> None:
@@ -34,7 +34,7 @@ def die_with_parent() -> None:
 
 
 class Program:
-    """A command that runs, in a process group of its own; what it says is appended to ``log``."""
+    """A command that runs in a process group of its own; its output is appended to ``log``."""
 
     def __init__(self, words: list[object], log: Path) -> None:
         self.words, self.log = [str(word) for word in words], log
@@ -63,14 +63,14 @@ class Program:
         """The exit status (−9: killed), or None while it runs."""
         return self._process.poll()
 
-    def said(self) -> str:
-        """What it has said so far."""
+    def output(self) -> str:
+        """What it has printed so far."""
         with open(self.log, "rb") as file:
             file.seek(self._from)
             return file.read().decode("utf-8", "replace")
 
     def until(self, condition: Callable[[], bool], timeout: float, every: float = LOOK_EVERY) -> bool:
-        """Wait for the condition; False where the program ended, or the time, before it held."""
+        """Wait for the condition; False if the program or the time ended before it held."""
         deadline = time.monotonic() + timeout
         while not condition():
             if self.poll() is not None or time.monotonic() > deadline:
@@ -163,12 +163,12 @@ class Warm:
     def _read(self) -> None:
         assert self._process.stdout
         for line in self._process.stdout:
-            told = json.loads(line)
+            answer = json.loads(line)
             with self._told:
-                if "status" in told:
-                    self.ended[told["number"]] = told["status"]
+                if "status" in answer:
+                    self.ended[answer["number"]] = answer["status"]
                 else:
-                    self._pids[told["number"]] = told["pid"]
+                    self._pids[answer["number"]] = answer["pid"]
                 self._told.notify_all()
 
     def fork(self, arguments: list[str], log: Path) -> tuple[int, int]:

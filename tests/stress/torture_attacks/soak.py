@@ -151,7 +151,7 @@ def soak(bench: Bench) -> Result:
         log=bench.folder / "serve.log",
     )
     if not program.until((home / "connection.json").exists, PATIENCE):
-        raise RuntimeError(f"the backend did not come up: {program.said()[-300:]}")
+        raise RuntimeError(f"the backend did not come up: {program.output()[-300:]}")
     result, tally = Result("samples"), Tally()
     process = psutil.Process(program.pid)
     steering = Steering(bench, home, tally)
@@ -208,32 +208,32 @@ def soak(bench: Bench) -> Result:
 
 def _at_rest(process: psutil.Process) -> tuple[int, int]:
     """(threads, descriptors) once nothing has changed for a second."""
-    told = (process.num_threads(), process.num_fds())
+    before = (process.num_threads(), process.num_fds())
     for _ in range(30):
         time.sleep(1.0)
         now = (process.num_threads(), process.num_fds())
-        if now == told:
+        if now == before:
             break
-        told = now
-    return told
+        before = now
+    return before
 
 
 def _settled(process: psutil.Process, wanted: tuple[int, int]) -> tuple[int, int]:
-    """The same at the end; a connection that was reset is noticed within seconds."""
-    told = _at_rest(process)
+    """The same at the end; a reset connection is noticed within seconds."""
+    counts = _at_rest(process)
     for _ in range(9):
-        if told[0] <= wanted[0] and told[1] <= wanted[1]:
+        if counts[0] <= wanted[0] and counts[1] <= wanted[1]:
             break
-        told = _at_rest(process)
-    return told
+        counts = _at_rest(process)
+    return counts
 
 
 def _complaints_of_log(home: Path, program: Program) -> list[str]:
-    said = program.said()
+    output = program.output()
     with contextlib.suppress(OSError):
-        said += (home / "backend.log").read_text(encoding="utf-8", errors="replace")
-    bad = [line for line in said.splitlines() if " ERROR" in line or line.startswith("ERROR")]
-    return tracebacks(said) + [f"its log has: {line}" for line in bad[:3]]
+        output += (home / "backend.log").read_text(encoding="utf-8", errors="replace")
+    bad = [line for line in output.splitlines() if " ERROR" in line or line.startswith("ERROR")]
+    return tracebacks(output) + [f"its log has: {line}" for line in bad[:3]]
 
 
 class Sampler:
@@ -257,14 +257,14 @@ class Sampler:
         while not self._ended.wait(self._every):
             try:
                 memory = self._process.memory_info().rss / 1e6
-                told = (self._process.num_threads(), self._process.num_fds())
+                threads, descriptors = self._process.num_threads(), self._process.num_fds()
             except psutil.Error as error:
-                self._result.complain([f"the backend is gone: {error}"])
+                self._result.complain([f"the backend has vanished: {error}"])
                 return
             self.memory.append(memory)
             self._bench.say(
-                f"{time.monotonic() - begun:6.0f} s  {memory:7.1f} MB  {told[0]} threads  "
-                f"{told[1]} descriptors  {self._tally}"
+                f"{time.monotonic() - begun:6.0f} s  {memory:7.1f} MB  {threads} threads  "
+                f"{descriptors} descriptors  {self._tally}"
             )
 
 

@@ -35,7 +35,7 @@ def open_stranger(bench: Bench) -> Result:
     strace = [*STRACE, "-o", trace] if shutil.which("strace") else []
     living = _blender(bench, "open", file, elsewhere, before=strace)
     living.wait(PATIENCE)
-    result.complain(said_to_have_happened(living.said()), "audit hook")
+    result.complain(reported_events(living.output()), "audit hook")
     if strace:
         lines = trace.read_text(encoding="utf-8", errors="replace").splitlines()
         result.complain(traced(lines, places(elsewhere)), "strace")
@@ -49,13 +49,13 @@ def open_stranger(bench: Bench) -> Result:
 def _open_in_window(bench: Bench, result: Result) -> None:
     """The same in a real window, where there is a Blender that opens one."""
     program = Program([sys.executable, WINDOW, WINDOW_TEST], bench.folder / "window.log")
-    status, said = program.wait(PATIENCE), program.said()
-    skipped = re.search(r"^gui-test (skipped: .*)$", said, re.MULTILINE)
+    status, output = program.wait(PATIENCE), program.output()
+    skipped = re.search(r"^gui-test (skipped: .*)$", output, re.MULTILINE)
     if skipped:
         result.facts.append(f"in a window {skipped[1]}")
         return
     result.tries += 1
-    result.complain([] if status == 0 else [" ".join(said.split()[-40:])], "window")
+    result.complain([] if status == 0 else [" ".join(output.split()[-40:])], "window")
 
 
 def _blender(bench: Bench, what: str, file: Path, elsewhere: Path, before: Sequence[object] = ()) -> Program:
@@ -65,12 +65,12 @@ def _blender(bench: Bench, what: str, file: Path, elsewhere: Path, before: Seque
     return Program(words, bench.folder / "blender.log")
 
 
-def said_to_have_happened(said: str) -> list[str]:
-    """The lines in which the script tells of a look or a process; or that it did not live to tell."""
-    told = (*OPENED, *STARTED, *(f"os.{name}" for name in ASKED))
-    lines = [line for line in said.splitlines() if line.partition(" ")[0] in told]
-    if LIVED not in said.splitlines():
-        lines.append(f"Blender did not come to its end: {' '.join(said.splitlines()[-1:])}")
+def reported_events(output: str) -> list[str]:
+    """The lines in which the script reports a look or a process; or that it died before it could."""
+    reported = (*OPENED, *STARTED, *(f"os.{name}" for name in ASKED))
+    lines = [line for line in output.splitlines() if line.partition(" ")[0] in reported]
+    if LIVED not in output.splitlines():
+        lines.append(f"Blender did not come to its end: {' '.join(output.splitlines()[-1:])}")
     return lines
 
 

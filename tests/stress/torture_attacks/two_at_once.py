@@ -21,9 +21,9 @@ from .oracle import (
 from .processes import Program
 
 
-def _names(said: str, program: Program) -> list[str]:
+def _names(output: str, program: Program) -> list[str]:
     """Whether a refusal says who holds the folder."""
-    if re.search(rf"\b{program.pid}\b", said):
+    if re.search(rf"\b{program.pid}\b", output):
         return []
     return [f"the refusal does not name process {program.pid}, which holds it"]
 
@@ -35,7 +35,7 @@ def _hold_until_the_other_ends(first: Program, other: Program) -> None:
     """Stop whichever of two trainings begins, so that the other finds the folder held however slow it is."""
 
     def begun() -> list[Program]:
-        return [program for program in (first, other) if BEGUN in program.said()]
+        return [program for program in (first, other) if BEGUN in program.output()]
 
     if first.until(lambda: bool(begun()) or other.poll() is not None, PATIENCE, 0.001):
         for holder in begun()[:1]:
@@ -44,7 +44,7 @@ def _hold_until_the_other_ends(first: Program, other: Program) -> None:
 
 
 def two_trainings(bench: Bench) -> Result:
-    """One holds the folder, the other is refused and told by whom; the first ends as if alone."""
+    """One holds the folder, the other is refused with the first one's name; the first ends as if alone."""
     data, threads = bench.material.data, ("--threads", 1)
     # The first must still train when the other has loaded torch. In a short run it is held until then.
     count = 200 if bench.short else 3000
@@ -62,7 +62,7 @@ def two_trainings(bench: Bench) -> Result:
         shutil.rmtree(run, ignore_errors=True)
         first = bench.physhdr(*first_words, "--out", run, "--overwrite", log=bench.folder / "first.log")
         if how != "at the same time":
-            first.until(lambda p=first: BEGUN in p.said(), PATIENCE, 0.001)
+            first.until(lambda p=first: BEGUN in p.output(), PATIENCE, 0.001)
         if how == "resuming":
             first.until(lambda: (run / CHECKPOINT).exists(), PATIENCE, 0.001)
             words: tuple[object, ...] = ("train", "--resume", run, *threads)
@@ -78,8 +78,8 @@ def two_trainings(bench: Bench) -> Result:
             ended.reverse()
         else:
             pair, reference = (first, other), references[0]
-        complaints = badly_ended(ended[0], pair[0].said())
-        complaints += badly_refused(ended[1], pair[1].said(), str(run)) or _names(pair[1].said(), pair[0])
+        complaints = badly_ended(ended[0], pair[0].output())
+        complaints += badly_refused(ended[1], pair[1].output(), str(run)) or _names(pair[1].output(), pair[0])
         complaints += different_tensors(run / CHECKPOINT, reference / CHECKPOINT)
         complaints += [f"{path.name} is left" for path in temporaries(run)]
         result.complain(complaints, how)
@@ -122,7 +122,7 @@ def two_readers(bench: Bench) -> Result:
                 opened += 1
             if len(result.complaints) > 20:
                 break
-        result.complain(badly_ended(program.wait(PATIENCE), program.said()), "train")
+        result.complain(badly_ended(program.wait(PATIENCE), program.output()), "train")
     finally:
         ended.set()
         reader.join(30.0)
@@ -146,7 +146,7 @@ def _two(make: Callable[[Bench], commands.Command], times: int) -> Callable[[Ben
             time.sleep(float(bench.rng.uniform(0.0, 1.0)) if number % 2 else 0.0)
             pair.append(command.start(out))
             for program in pair:
-                result.complain(badly_ended(program.wait(PATIENCE), program.said()), f"pair {number + 1}")
+                result.complain(badly_ended(program.wait(PATIENCE), program.output()), f"pair {number + 1}")
             result.complain(different_folders(out, reference, command.varying), f"pair {number + 1}")
             result.complain([f"{path} is left" for path in temporaries(out)], f"pair {number + 1}")
             result.tries += 1
@@ -162,7 +162,7 @@ two_benchmarks = _two(commands.benchmark, 4)
 
 
 def two_servers(bench: Bench) -> Result:
-    """The second is refused and told who serves the home; the first goes on."""
+    """The second is refused with the name of the one that serves the home; the first continues."""
     result = Result("times")
     for number in range(1 if bench.short else 10):
         home = bench.empty("home")
@@ -175,13 +175,13 @@ def two_servers(bench: Bench) -> Result:
             first.until(lambda p=first, o=other: o.poll() is not None or p.poll() is not None, PATIENCE)
             if first.poll() is not None:
                 first, other = other, first
-        complaints = badly_refused(other.wait(60.0), other.said(), str(home))
+        complaints = badly_refused(other.wait(60.0), other.output(), str(home))
         if number % 2 == 0:
-            complaints += _names(other.said(), first)
+            complaints += _names(other.output(), first)
         if first.poll() is not None:
             complaints.append(f"the first one ended as well, with {first.poll()}")
         first.interrupt()
-        complaints += badly_ended(first.wait(60.0), first.said())
+        complaints += badly_ended(first.wait(60.0), first.output())
         result.complain(complaints, f"pair {number + 1}")
         result.tries += 1
     return result

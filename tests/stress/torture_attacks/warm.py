@@ -63,8 +63,8 @@ def _reap(running: dict[int, int], answers: Any) -> None:
     for pid in list(running):
         done, status = os.waitpid(pid, os.WNOHANG)
         if done:
-            told = {"number": running.pop(pid), "status": os.waitstatus_to_exitcode(status)}
-            print(json.dumps(told), file=answers, flush=True)
+            ended = {"number": running.pop(pid), "status": os.waitstatus_to_exitcode(status)}
+            print(json.dumps(ended), file=answers, flush=True)
 
 
 def _become(asked: dict[str, Any]) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a program does with files that a stranger names: watched from within, by Python's audit hook and by
-calls that it does not tell of. The standard library alone: it is used inside Blender, too.
+calls that it does not report. The standard library alone: it is used inside Blender, too.
 """
 
 import os
@@ -16,7 +16,7 @@ NETWORK = f"\\\\{COMPUTER}\\share"
 #: Asked for as the file is about to be opened: who follows the system's calls begins here.
 BEGIN = "/physhdr-begins"
 LIVED = "LIVED"
-#: What Python's audit hooks tell, and what they do not.
+#: What Python's audit hooks report, and what they do not.
 OPENED = ("open", "os.listdir", "os.scandir", "os.mkdir", "os.remove", "os.rename", "shutil.copyfile")
 STARTED = (
     "subprocess.Popen",
@@ -42,31 +42,31 @@ def watched(*places: str) -> Iterator[list[str]]:
     """Within it, each look at a path with one of ``places`` in it is listed, and each start of a process."""
     found: list[str] = []
 
-    def tell(what: str, path: object) -> None:
+    def report(what: str, path: object) -> None:
         named = os.fsdecode(path) if isinstance(path, str | bytes | os.PathLike) else str(path)
         if what in STARTED or any(place in named for place in places):
             found.append(f"{what} {named}")
 
-    def telling(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def told(path: Any, *arguments: Any, **more: Any) -> Any:
-            tell(f"os.{name}", path)
+    def reporting(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def reported(path: Any, *arguments: Any, **more: Any) -> Any:
+            report(f"os.{name}", path)
             return call(path, *arguments, **more)
 
-        return told
+        return reported
 
     if not hasattr(sys, "physhdr_audited"):  # a hook stays for good
         sys.addaudithook(_audited)
         setattr(sys, "physhdr_audited", True)  # noqa: B010
     before = {name: getattr(os, name) for name in ASKED}
-    _listeners.append(tell)
+    _listeners.append(report)
     try:
         for name, call in before.items():
-            setattr(os, name, telling(name, call))
+            setattr(os, name, reporting(name, call))
         yield found
     finally:
         for name, call in before.items():
             setattr(os, name, call)
-        _listeners.remove(tell)
+        _listeners.remove(report)
 
 
 def places(elsewhere: Path) -> tuple[str, ...]:
