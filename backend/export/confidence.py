@@ -59,7 +59,7 @@ FEWEST_VIEWS = 32
 
 
 @dataclass(frozen=True)
-class Seen:
+class ViewInTraining:
     """A view used in training, at those positions of its bracket.
 
     ``effect``: what the lens did to the light, a factor ``[1 or 3, H, W]``; None: nothing.
@@ -129,7 +129,9 @@ class Tables:
         return self._made[key]
 
 
-def expected_error(seen: Seen, radiance: np.ndarray, tables: Tables) -> tuple[np.ndarray, np.ndarray]:
+def expected_error(
+    seen: ViewInTraining, radiance: np.ndarray, tables: Tables
+) -> tuple[np.ndarray, np.ndarray]:
     """√E ``[H, W]`` of a view's drawn ``radiance`` ``[3, H, W]``, and which pixels are compared, bool.
 
     Raises what reading its pictures raises.
@@ -186,7 +188,7 @@ def _drawn(splats: Splats, colours: torch.Tensor, camera: Camera) -> Rasterizati
     return rasterize(means, quaternions, splats.scales.detach(), splats.opacities.detach(), colours, camera)
 
 
-def thinned(seen: Sequence[Seen]) -> Sequence[Seen]:
+def thinned(seen: Sequence[ViewInTraining]) -> Sequence[ViewInTraining]:
     """As many of the views, evenly spread, as ``MOST_PIXELS`` and ``FEWEST_VIEWS`` allow."""
     pixels = sum(each.view.camera.width * each.view.camera.height for each in seen)
     if pixels <= MOST_PIXELS or len(seen) <= FEWEST_VIEWS:
@@ -197,7 +199,7 @@ def thinned(seen: Sequence[Seen]) -> Sequence[Seen]:
 
 @torch.no_grad()
 def confidence_of(
-    method: Method, seen: Sequence[Seen], show: Callable[[int, int, str], None] | None = None
+    method: Method, seen: Sequence[ViewInTraining], show: Callable[[int, int, str], None] | None = None
 ) -> np.ndarray:
     """``[N]`` float32 in 0 … 1, of a method on plain Gaussians on the CPU (``on_gaussians``).
 

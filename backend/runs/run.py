@@ -14,7 +14,7 @@ from ...bridge.errors import DataMismatchError
 from ...bridge.model_file import PHOTOGRAPHED_EV, Model
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
-from ..export.confidence import Seen, confidence_of
+from ..export.confidence import ViewInTraining, confidence_of
 from ..methods.base import Method
 from ..rasterize import Implementation
 from ..scene import Scene, View, read_scene
@@ -102,7 +102,7 @@ class Run:
             listed.append(ListedCamera(view.name, camera.camera_to_world, *size, *lens, is_learned))
         return listed
 
-    def seen(self) -> list[Seen] | None:
+    def seen(self) -> list[ViewInTraining] | None:
         """The pictures that training saw, as ``confidence_of`` wants them.
 
         None where they are not there, or others are in their place.
@@ -115,7 +115,7 @@ class Run:
         photos, lenses = self.scene.photographs, self.lenses
         effects = (None if lenses is None else lenses.falloff(view.camera) for view in views)
         each = zip(views, positions, effects, strict=True)
-        return [Seen(view, which, effect, photos) for view, which, effect in each]
+        return [ViewInTraining(view, which, effect, photos) for view, which, effect in each]
 
     def confidence(
         self, method: Method, show: Callable[[int, int, str], None] | None = None

@@ -101,8 +101,8 @@ class Photometry:
 
 
 @dataclass(frozen=True)
-class Untold:
-    """Points tell nothing of the photos; ``reason``: why, in words for the user."""
+class NoPhotometry:
+    """Points show nothing about the photos; ``reason``: why, as shown to the user."""
 
     reason: str
 
@@ -118,8 +118,8 @@ def photometry(
     *,
     finds_response: bool = True,
     vignetting: np.ndarray | None = None,
-) -> Photometry | Untold:
-    """What the points ``[P, 3]`` (metres) tell, or why they tell nothing.
+) -> Photometry | NoPhotometry:
+    """What the points ``[P, 3]`` (metres) show of the photos, or why they show nothing.
 
     ``exposures[i]``: positions in the bracket of ``views[i]``, whose photos are counted in this order;
     ``lens[i]``: its lens, and ``reach`` where ρ is 1 for each. ``deviations``: expected of gain and balance,
@@ -127,7 +127,7 @@ def photometry(
     In the gauge: neither gains nor balances have a mean, or a slope over ln t; with one, the response of red
     and blue could be as steep as it likes.
 
-    Each photo is read once. Memory and time are bounded, for there are about as many equations as three times
+    Each photo is read once. Memory and time are bounded: there are about as many equations as three times
     ``OBSERVATIONS``, or ``SOUGHT_EQUATIONS`` for each of U unknowns, and U is at most ``MOST_UNKNOWNS``. One
     core solves 900,000 equations in 26 seconds and 1.3 GB at U = 3,000, in 89 seconds and 2 GB at 6,000; at
     ``MOST_UNKNOWNS`` it is 5 to 6 GB (32 U² bytes and what the equations take), and some ten minutes.
@@ -135,13 +135,13 @@ def photometry(
     photos = sum(len(indices) for indices in exposures)
     unknowns = 3 * DEGREE + photos + 2 * len(views) + COEFFICIENTS * len(reach)
     if unknowns > MOST_UNKNOWNS:
-        return Untold(f"{photos:,} photos in {len(views):,} views are too many to solve for at once")
+        return NoPhotometry(f"{photos:,} photos in {len(views):,} views are too many to solve for at once")
     chosen = _chosen(points, views, photos, lens, reach, unknowns)
     seen, bright = observations(points, chosen, views, exposures, lens, reach)
     needed = LEAST_EQUATIONS * unknowns
     if len(seen.code) < needed:
         values = f"{len(seen.code):,} usable colour values"
-        return Untold(f"{photos:,} photos show points with only {values}, {needed:,} are needed")
+        return NoPhotometry(f"{photos:,} photos show points with only {values}, {needed:,} are needed")
     counts = photos, len(views), len(reach)
     return _solved(seen, bright, counts, response, deviations, finds_response, vignetting)
 
@@ -208,7 +208,7 @@ def _solved(
     deviations: tuple[float, float],
     finds_response: bool,
     vignetting: np.ndarray | None,
-) -> Photometry | Untold:
+) -> Photometry | NoPhotometry:
     from scipy import sparse  # here, because only this needs it
 
     photos, places, lenses = counts
@@ -255,7 +255,7 @@ def _solved(
             hat[asked] = _hat(1.0 / (1.0 + np.exp(-logit))) * np.where(even, 1.0, UNEVEN)
         weight = hat / (1.0 + (residual / (TOLERANCE * spread)) ** 2)
     if spread > LARGEST_SHARE * contrast:
-        return Untold("photos disagree too much about how bright points are")
+        return NoPhotometry("photos disagree too much about how bright points are")
 
     lens = solution[columns.lens].reshape(-1, COEFFICIENTS) if vignetting is None else vignetting
     found = Photometry(solution[columns.gain], solution[columns.balance].reshape(-1, 2), lens)

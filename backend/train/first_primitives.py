@@ -18,7 +18,7 @@ from ..scene.points import EXACT, STRUCTURE_FROM_MOTION
 from ..scene.scene import View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, largest_sizes, merged_log_radiance
-from ..start.photometry import NO_STOPS, Photometry, Untold
+from ..start.photometry import NO_STOPS, NoPhotometry, Photometry
 from ..start.response import bracket_response, display_response, point_response
 from .clearance import clearances
 from .nuisances import Nuisances
@@ -68,7 +68,7 @@ def place(state: State, nuisances: Nuisances | None) -> None:
         positions = np.concatenate([positions, far])
         message += f", {len(far):,} far away where these leave pictures uncovered"
     told = _told_by(positions, response, seen, nuisances, asks_response=by == BY_SRGB)
-    if isinstance(told, Untold):
+    if isinstance(told, NoPhotometry):
         message += f", no photometric estimate from the points ({told.reason})"
         told = None
     if by == BY_SRGB and seen.responses == "learned":
@@ -137,7 +137,7 @@ def _response_by_points(mapper: Response, told: Photometry | None, seen: Seen) -
 
 def _told_by(
     points: np.ndarray, response: Response, seen: Seen, nuisances: Nuisances | None, *, asks_response: bool
-) -> Photometry | Untold | None:
+) -> Photometry | NoPhotometry | None:
     """What points ``[P, 3]`` (metres) tell of the photos, or why nothing; None where nobody asks."""
     if nuisances is None and asks_response:
         # Where none are learned, none explain what photos disagree about.

@@ -31,7 +31,7 @@ from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangen
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import View
-from ..start.photometry import ONE_EXPOSURE, Photometry, Untold, photometry, point_effects
+from ..start.photometry import ONE_EXPOSURE, NoPhotometry, Photometry, photometry, point_effects
 from .data import Shot
 from .plan import Plan
 from .state import Part, State
@@ -173,7 +173,7 @@ class Nuisances(Part):
             self.reach.fill_(reach)
             self.lens_is_known.fill_(True)
 
-    def told_by(self, points: np.ndarray, response: Response) -> Photometry | Untold:
+    def told_by(self, points: np.ndarray, response: Response) -> Photometry | NoPhotometry:
         """What points ``[P, 3]`` (metres) tell of the photos under the standard light, or why nothing.
 
         ``response``: as it is when training starts, for where they do not tell of it.

@@ -14,8 +14,8 @@ from physhdr.backend.export.confidence import (
     NOISE,
     SHAPE,
     UNKNOWN,
-    Seen,
     Tables,
+    ViewInTraining,
     blended,
     confidence_at,
     confidence_of,
@@ -93,7 +93,7 @@ def seen_at(method, camera, exposures=EXPOSURES, factor=1.0, mask=None, dtype=np
     codes = [np.rint(SRGB.encode(drawn * t) * largest).astype(dtype) for t in exposures]
     sources = tuple(Picture(each, SRGB, mask) for each in codes)
     view = View("train/r_0", camera, tuple(exposures), sources, 0)
-    return Seen(view, tuple(range(len(exposures))), **facts)
+    return ViewInTraining(view, tuple(range(len(exposures))), **facts)
 
 
 def well_seen(method, camera, exposures):
@@ -232,7 +232,7 @@ def test_of_large_captures_evenly_spread_views_are_looked_at(method):
     def views(count, width):
         camera = Camera.from_field_of_view(np.eye(4), width, width, 0.3)
         return [
-            Seen(View(str(index), camera, (1.0,), (Picture(None, SRGB),), index), (0,))
+            ViewInTraining(View(str(index), camera, (1.0,), (Picture(None, SRGB),), index), (0,))
             for index in range(count)
         ]
 

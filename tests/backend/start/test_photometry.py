@@ -18,7 +18,7 @@ from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
 from physhdr.backend.start import photometry as photometry_module
 from physhdr.backend.start.observations import observations
-from physhdr.backend.start.photometry import Untold, photometry, point_effects
+from physhdr.backend.start.photometry import NoPhotometry, photometry, point_effects
 from physhdr.backend.start.response import point_response
 from physhdr.backend.train.begin import begin
 from physhdr.backend.train.nuisances import Nuisances
@@ -332,9 +332,9 @@ def test_random_points_tell_nothing():
     rng = np.random.default_rng(8)
     nowhere = np.column_stack([rng.uniform(-1.0, 1.0, (700, 2)), rng.uniform(0.3, 2.8, 700)])
     found, _ = solve(views, ToneMapper(ToneMapperConfig(), None), nowhere)
-    assert found == Untold("photos disagree too much about how bright points are")
+    assert found == NoPhotometry("photos disagree too much about how bright points are")
     few, _ = solve(views, ToneMapper(ToneMapperConfig(), None), nowhere[:5])
-    assert isinstance(few, Untold) and "42 photos show points with only" in few.reason
+    assert isinstance(few, NoPhotometry) and "42 photos show points with only" in few.reason
 
 
 def test_a_walk_in_which_each_point_is_in_few_photos_tells_of_all_of_them(monkeypatch):
@@ -351,7 +351,7 @@ def test_a_walk_in_which_each_point_is_in_few_photos_tells_of_all_of_them(monkey
     assert np.std(found.gain - gains) < 0.03 * STOP < np.std(gains) / 5
     monkeypatch.setattr(photometry_module, "MOST_UNKNOWNS", 200)
     found, _ = solve(views, KnownResponse(), points)
-    assert found == Untold("60 photos in 60 views are too many to solve for at once")
+    assert found == NoPhotometry("60 photos in 60 views are too many to solve for at once")
 
 
 def test_a_value_that_any_masked_pixel_has_part_in_is_not_seen():
