@@ -46,6 +46,7 @@ def by_light(
     groups = read_light_groups(root) or stated
     if groups is None:
         return Lighting(list(poses), [], [])
+    groups = _with_unit(groups)
     standard: list[Pose] = []
     found: dict[str, list[Pose]] = {group.name: [] for group in groups.groups}
     for pose in poses:
@@ -68,6 +69,23 @@ def by_light(
         testing = f", {len(held_out)} of them for testing" if held_out else ""
         messages.append(f"'{name}': {len(members)} poses under other light{testing}")
     return Lighting(standard, _numbered(train), _numbered(test), groups.lights, tuple(messages))
+
+
+def _with_unit(groups: LightGroups) -> LightGroups:
+    """The same, with level 1 in one group for a light that is off in the standard and unknown elsewhere.
+
+    Nothing else says what its level 1 is.
+    """
+    for light, level in groups.standard.items():
+        named = [group for group in groups.groups if light in group.levels]
+        if level > 0.0 or any(group.levels[light] for group in named):
+            continue
+        first = next((group for group in named if group.levels[light] is None), None)
+        if first is not None:
+            unit = replace(first, levels={**first.levels, light: 1.0})
+            each = tuple(unit if group is first else group for group in groups.groups)
+            groups = replace(groups, groups=each)
+    return groups
 
 
 def _names(pose: Pose, folders: Sequence[Path]) -> list[str]:

@@ -34,7 +34,8 @@ BETAS, EPSILON, RATE = (0.8, 0.95), 1e-12, 0.02
 #: Share of the training before anything moves: an unfinished scene misleads.
 START = 0.1
 #: Weight of ln² l / 2 in the loss, where nothing else tells how far light is from 1. With less, l goes beyond
-#: what shares, of which no sigmoid reaches 1, can follow; ten times as much holds it back.
+#: what shares, of which no sigmoid reaches 1, can follow; ten times as much holds it back. (Daylight at 0.15,
+#: rendered room, 1500 iterations: found at 0.152; with 1e-4 at 0.100; with 3e-2, after 700, at 0.286.)
 PULL = 3e-3
 #: Bounds of ln l: less than a thousandth is off.
 LARGEST = math.log(1000.0)

@@ -110,6 +110,17 @@ def test_colmap_holds_out_of_large_groups_alone(tmp_path):
     assert len(scene.train) + len(scene.test) == 8
 
 
+def test_a_light_that_is_on_in_its_own_groups_alone_is_at_1_in_the_first(tmp_path):
+    layouts.write_colmap(tmp_path, poses=6)
+    one = LightGroup("flash", {"flash": None}, ("shot_00", "shot_01"))
+    two = LightGroup("flash again", {"flash": None}, ("shot_02",))
+    write_light_groups(tmp_path, LightGroups(("flash",), (one, two), {"flash": 0.0}))
+    assert [view.lighting_levels for view in read_scene(tmp_path).lit] == [(1.0,), (1.0,), (None,)]
+    known = LightGroup("flash again", {"flash": 2.0}, ("shot_02",))
+    write_light_groups(tmp_path, LightGroups(("flash",), (one, known), {"flash": 0.0}))
+    assert [view.lighting_levels for view in read_scene(tmp_path).lit] == [(None,), (None,), (2.0,)]
+
+
 def test_a_group_without_a_pose_is_named_and_all_in_groups_is_refused(tmp_path):
     layouts.write_colmap(tmp_path, poses=6)
     nothing = LightGroup("desk lamp", {"desk": 0.0}, ("desk/*",))
@@ -126,14 +137,14 @@ def test_frames_of_transforms_json_may_say_their_levels(tmp_path):
     content = json.loads(path.read_text())
     by_name = {frame["file_path"]: frame for frame in content["frames"]}
     by_name["images/frame_00007.png"]["lighting_levels"] = {"pendant": 0, "flash": 0}
-    by_name["images/frame_00008.png"]["lighting_levels"] = {"flash": None}
+    by_name["images/frame_00008.png"]["lighting_levels"] = {"pendant": None, "flash": 0}
     content["lighting_levels"] = {"flash": 0}
     path.write_text(json.dumps(content))
     scene = read_scene(tmp_path)
     assert scene.lights == ("pendant", "flash") and scene.standard_levels == (1.0, 0.0)
     assert {view.name: view.lighting_levels for view in scene.lit} == {
         "images/frame_00007": (0.0, 0.0),
-        "images/frame_00008": (1.0, None),
+        "images/frame_00008": (None, 0.0),
     }
     # A list of the split decides of them, too; a file beside it decides of the light.
     content["test_filenames"] = ["images/frame_00004.png", "images/frame_00008.png"]
