@@ -26,13 +26,14 @@ class _Render:
     def draw(self, context: bpy.types.Context) -> None:
         layout = layout_of(self)
         problems = render_problems(context.scene)
+        # Above what it sets right, whose sentences may be longer than the screen.
+        row = layout.row()
+        row.scale_y = 1.4 if any(problem.fixable for problem in problems) else 1.0
+        row.operator("physhdr.render_setup", icon="SCENE")
         for problem in problems:
             write(context, layout, problem.text, "ERROR")
         if not problems:
             layout.label(text="Models render as they were trained", icon="CHECKMARK")
-        row = layout.row()
-        row.scale_y = 1.4 if any(problem.fixable for problem in problems) else 1.0
-        row.operator("physhdr.render_setup", icon="SCENE")
         draw_developing(context, layout)
         draw_cameras(context, layout)
 
