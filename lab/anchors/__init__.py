@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scaffold-GS's backbone, by the name that stands in files."""
+"""Scaffold-GS's backbone, by its name in files."""
 
 from ...backend.train.backbones import RegisteredBackbone
 from .backbone import Anchors

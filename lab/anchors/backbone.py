@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scaffold-GS's backbone: anchors with features, of which networks make k Gaussians each for every view.
+"""Scaffold-GS's backbone: anchors with features, from which networks make k Gaussians each for every view.
 
 Written from the facts in lab/peers.md (Lu et al., Scaffold-GS, CVPR 2024). The colour network gives
 ln H_r, without a sigmoid; illumination, shares of light and context do not know the viewing direction.
@@ -37,7 +37,7 @@ DIRECTIONS_AROUND = 4096
 LEAST_OPACITY_LOGIT = 0.1
 #: Anchors that are fixed at once: the normal equations of k Gaussians each fit into memory.
 FIXED_AT_ONCE = 4096
-#: A Gaussian that a view has switched off says little of its colour there, but more than nothing.
+#: Weight of a Gaussian that a view has switched off: its colour there says little, but more than nothing.
 LEAST_WEIGHT = 1e-3
 #: Opacities are kept this far from 0 and 1, where their logits end.
 OPACITY_MARGIN = 1e-4
@@ -45,7 +45,7 @@ OPACITY_MARGIN = 1e-4
 
 @dataclass(frozen=True)
 class AnchorSplats(Splats):
-    """The neural Gaussians with opacity above 0, and whence they are.
+    """The neural Gaussians with opacity above 0, and where they come from.
 
     ``seen`` ``[V]`` int64: the anchors in the frustum. ``drawn`` ``[M]`` int64, ascending: the Gaussians
     drawn, among the V·k of the anchors seen. ``opacity_sum`` ``[V]``: of all k, negative ones as 0.
@@ -68,7 +68,7 @@ class Anchors(Backbone):
     =====================  ==========  ===============================================================
 
     ``networks``: ``opacity``, ``covariance``, ``colour``, ``illumination``; ``light_share`` and ``context``
-    where the method asks for them. Those names are also the groups that have learning rates.
+    if the method needs them. Those names are also the groups that have learning rates.
     """
 
     def __init__(self, config: AnchorsConfig, attributes: Attributes) -> None:
@@ -124,7 +124,7 @@ class Anchors(Backbone):
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
         """One anchor in every cell that has a point, as large as the distance to its neighbours.
 
-        ``start`` has no meaning here: opacity is a network's, whose bias is raised where a view would see
+        ``start`` has no effect here: opacity is a network's, whose bias is raised where a view would see
         nothing of the anchors.
         """
         spacing = _neighbour_distance(positions)
@@ -188,7 +188,7 @@ class Anchors(Backbone):
         return seen.nonzero().squeeze(1)
 
     def outputs(self, seen: torch.Tensor, directions: torch.Tensor) -> dict[str, torch.Tensor]:
-        """What the networks say of the anchors ``seen`` ``[V]`` from ``directions`` ``[V, 3]`` (of length 1).
+        """The networks' outputs for the anchors ``seen`` ``[V]`` from unit ``directions`` ``[V, 3]``.
 
         ``opacity`` ``[V·k]`` in (−1, 1), ``covariance`` ``[V·k, 7]``, ``colour`` ``[V·k, 3]``,
         ``illumination`` ``[V·k, 1 or 3]``, ``light_share`` ``[V·k, C·3]``, and ``context`` ``[V, K]``.
@@ -197,34 +197,34 @@ class Anchors(Backbone):
         heads = {name: head for name, head in self.networks.items() if isinstance(head, Head)}
         values = run_heads(list(heads.values()), torch.cat([features, directions], dim=1))
         rows = seen.shape[0] * self.config.offsets
-        said = {
+        outputs = {
             name: value.reshape(rows, value.shape[1] // self.config.offsets)
             for name, value in zip(heads, values, strict=True)
         }
-        said["opacity"] = said["opacity"].squeeze(1).tanh()
+        outputs["opacity"] = outputs["opacity"].squeeze(1).tanh()
         if "context" in self.networks:
-            said["context"] = self.networks["context"](features)
-        return said
+            outputs["context"] = self.networks["context"](features)
+        return outputs
 
     def splats(self, camera: Camera, sh_degree: int) -> AnchorSplats:
         """Only of the anchors in the frustum, and only Gaussians whose opacity is above 0."""
         seen = self.in_frustum(camera)
         position = camera_tensors(camera, self.positions).position
         directions = nn.functional.normalize(self.positions.detach().index_select(0, seen) - position, dim=1)
-        said = self.outputs(seen, directions)
-        opacities = said["opacity"].detach()
+        outputs = self.outputs(seen, directions)
+        opacities = outputs["opacity"].detach()
         drawn = (opacities > 0).nonzero().squeeze(1)
         opacity_sum = opacities.clamp_min(0.0).reshape(-1, self.config.offsets).sum(1)
-        return self.neural_gaussians(said, seen, drawn, opacity_sum)
+        return self.neural_gaussians(outputs, seen, drawn, opacity_sum)
 
     def neural_gaussians(
         self,
-        said: dict[str, torch.Tensor],
+        outputs: dict[str, torch.Tensor],
         seen: torch.Tensor,
         drawn: torch.Tensor,
         opacity_sum: torch.Tensor,
     ) -> AnchorSplats:
-        """The Gaussians ``drawn`` ``[M]`` of what ``outputs`` said of the anchors ``seen``.
+        """The Gaussians ``drawn`` ``[M]`` from the ``outputs`` for the anchors ``seen``.
 
         mean = anchor + offset · exp(scaling₁), scales = exp(scaling₂) · sigmoid(m₁₋₃), rotation = m₄₋₇.
         """
@@ -233,19 +233,19 @@ class Anchors(Backbone):
         anchor = seen.index_select(0, row)
         offsets = self.parameters["offsets"].flatten(0, 1).index_select(0, anchor * k + drawn - row * k)
         scaling = self.parameters["log_scaling"].exp().index_select(0, anchor)
-        shape = said["covariance"].index_select(0, drawn)
-        colour = said["colour"].index_select(0, drawn)
+        shape = outputs["covariance"].index_select(0, drawn)
+        colour = outputs["colour"].index_select(0, drawn)
         if self.config.base_radiance:
             colour = colour + self.parameters["base_log_radiance"].index_select(0, anchor)
-        share = said.get("light_share")
-        context = said.get("context")
+        share = outputs.get("light_share")
+        context = outputs.get("context")
         return AnchorSplats(
             means=self.positions.detach().index_select(0, anchor) + offsets * scaling[:, :3],
             quaternions=shape[:, 3:],
             scales=scaling[:, 3:] * shape[:, :3].sigmoid(),
-            opacities=said["opacity"].index_select(0, drawn),
+            opacities=outputs["opacity"].index_select(0, drawn),
             log_reflectance=colour,
-            log_illumination=said["illumination"].index_select(0, drawn),
+            log_illumination=outputs["illumination"].index_select(0, drawn),
             light_share=None if share is None else self._shares(share.index_select(0, drawn)),
             context=None if context is None else context.index_select(0, row),
             seen=seen,
@@ -271,12 +271,12 @@ class Anchors(Backbone):
 
     @torch.no_grad()
     def fixed(self, cameras: Sequence[Camera]) -> Gaussians:
-        """Plain Gaussians, as nearly as can be what ``cameras`` see; none: ``BadValueError``.
+        """Plain Gaussians that look as similar as possible to ``cameras``; none: ``BadValueError``.
 
         Opacity and covariance are those of the mean viewing direction of the cameras that have the anchor in
         their picture; ln H_r is fitted to what the network says in the directions that they really see it
         from, weighted by the opacity there; illumination, shares of light and context have no direction and
-        stay. What no camera sees is left out. Lost are opacities and shapes that change with the direction
+        stay. What no camera sees is omitted. Lost are opacities and shapes that change with the direction
         (lab/notebook.md says what that costs), and details finer than the harmonics.
         """
         if not cameras:
@@ -303,15 +303,15 @@ class Anchors(Backbone):
             [nn.functional.normalize(positions - viewpoint, dim=1) for viewpoint in viewpoints]
         )
         mean_direction = nn.functional.normalize((directions * visible[:, chunk, None]).sum(0), dim=1)
-        said = self.outputs(chunk, mean_direction)
-        drawn = (said["opacity"] > 0).nonzero().squeeze(1)
-        splats = self.neural_gaussians(said, chunk, drawn, said["opacity"].new_zeros(len(chunk)))
+        outputs = self.outputs(chunk, mean_direction)
+        drawn = (outputs["opacity"] > 0).nonzero().squeeze(1)
+        splats = self.neural_gaussians(outputs, chunk, drawn, outputs["opacity"].new_zeros(len(chunk)))
         base = self.parameters.get("base_log_radiance")
         base = positions.new_zeros(len(chunk), 3) if base is None else base[chunk]
 
         fit = HarmonicsFit(splats.means, self.attributes.sh_degree)
         for c, viewpoint in enumerate(viewpoints):
-            # The networks say it of every anchor; views that do not have it in their picture weigh nothing.
+            # The networks have a colour for every anchor; views without it in their picture weigh nothing.
             here = self.outputs(chunk, directions[c])
             weight = here["opacity"][drawn].clamp_min(LEAST_WEIGHT) * visible[c, chunk][drawn // k]
             fit.add(viewpoint, here["colour"][drawn] + base[drawn // k], weight)
@@ -326,8 +326,8 @@ class Anchors(Backbone):
             "reflectance_rest": coefficients[:, 1:],
             "log_illumination": splats.log_illumination,
         }
-        if "light_share" in said:
-            parameters["light_share_logits"] = said["light_share"][drawn].reshape(len(drawn), -1, 3)
+        if "light_share" in outputs:
+            parameters["light_share_logits"] = outputs["light_share"][drawn].reshape(len(drawn), -1, 3)
         if splats.context is not None:
             parameters["context"] = splats.context
         return {name: tensor.contiguous() for name, tensor in parameters.items()}

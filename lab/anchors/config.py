@@ -14,7 +14,7 @@ from ...backend.model.backbone import Attributes, BackboneConfig
 from ...backend.model.rates import Rate, require_rates
 from ...bridge.errors import BadValueError
 
-#: A voxel for the growth is the neighbours' distance over this, where none is given: the coarsest of
+#: A voxel for the growth is the neighbours' distance over this, if it is not set: the coarsest of
 #: Scaffold-GS's three cells (16 voxels) then is as large as the distance to the neighbours.
 VOXELS_PER_SPACING = 16
 
@@ -81,9 +81,9 @@ class AnchorsConfig(BackboneConfig):
     splat_bytes: ClassVar[int] = 1300
     #: There are many to begin with.
     growth_factor: ClassVar[int] = 3
-    #: One anchor may come of several points (``placement``).
+    #: Several points may become one anchor (``placement``).
     keeps_points: ClassVar[bool] = False
-    #: Networks say how opaque a Gaussian is and which light it has; none is removed before a camera.
+    #: Networks decide how opaque a Gaussian is and which light it has; none is removed before a camera.
     unread: ClassVar[tuple[str, ...]] = (
         "initial_opacity",
         "initial_thickness",
@@ -102,7 +102,7 @@ class AnchorsConfig(BackboneConfig):
     voxel_size: float = 0.0
     #: One anchor for all points in a cell of this many voxels (Scaffold-GS: 1); more: fewer anchors.
     placement: int = 1
-    #: Start from the brackets' radiance, one ln value a channel and anchor beside what the network says.
+    #: Start from the brackets' radiance: a ln value for each channel and anchor, added to the network's.
     #: Off: the network alone (Scaffold-GS, GaussHDR), which starts near 1.
     base_radiance: bool = True
     #: λ of λ · mean(volume of the drawn Gaussians), in metres cubed.

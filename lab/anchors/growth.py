@@ -163,9 +163,9 @@ def grow_and_prune(
     config: AnchorsConfig,
     generator: torch.Generator,
 ) -> AnchorStatistics:
-    """Both in one resampling, which also sorts by place (``morton``). Returns the statistics that go on.
+    """Both in one resampling, which also sorts by place (``morton``). Returns the statistics that remain.
 
-    Raises ``NoGaussiansLeftError``, before anything is changed, where nothing would be left.
+    Raises ``NoGaussiansLeftError``, before anything is changed, if nothing would be left.
     """
     k, count = anchors.config.offsets, len(anchors)
     judged = state.draws > config.every * config.seen_share * 0.5
@@ -210,7 +210,7 @@ def grow_and_prune(
 
 
 class AnchorGrowth(Growth):
-    """The strategy bound to one training of a method on anchors. ``seed``: of the candidates that are kept.
+    """The strategy bound to one training of a method on anchors. ``seed``: of the choice of candidates.
 
     No anchor is removed before a camera: ``cameras`` and ``clearance`` are ``GaussianGrowth``'s.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Published methods, the paper's own among them, by the names that stand in files."""
+"""Published methods, including the paper's own, by their names in files."""
 
 from ...backend.methods.base import MethodSetup
 from ...backend.methods.registry import Registered

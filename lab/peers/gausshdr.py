@@ -55,7 +55,7 @@ class GaussHDRConfig(MethodConfig):
     )
     #: ℓ: this weight for 1 − SSIM, the rest of 1 for the absolute difference.
     dssim_weight: float = 0.2
-    #: Of both uncertainties' likelihoods (the code has 1, the paper is said to have ½).
+    #: Of both uncertainties' likelihoods (the code has 1, the paper reportedly ½).
     uncertainty_weight: float = 1.0
     #: Let the likelihood of the 3-D uncertainty move and fade the splats it is drawn with. The network's
     #: inputs are kept from learning of it; through the drawing it costs 4.7 dB (lab/notebook.md).
@@ -126,7 +126,7 @@ class Uncertainty(nn.Module):
 
 
 def held(splats: Splats) -> Splats:
-    """The same splats, whose shape and opacity learn nothing of what is drawn with them."""
+    """The same splats, whose shape and opacity learn nothing from what is drawn with them."""
     shape = {name: getattr(splats, name).detach() for name in ("means", "quaternions", "scales", "opacities")}
     return dataclasses.replace(splats, **shape)
 

@@ -5,8 +5,8 @@ Each splat has ln e; its LDR colour at exposure t is f(ln e + ln t), f a network
 pictures draw e itself. Nothing fixes the absolute scale (their code has L_unit switched off), so that HDR
 figures mean something only when ``scale aligned``.
 
-Their published figures come of training that sees the true HDR pictures. Here that is off; it needs a switch
-and the path of the truth, and says so at every start and in every report.
+Their published figures come from training on the true HDR pictures. Here that is off; it needs a switch
+and the path of the truth, and is reported at every start and in every report.
 """
 
 import functools

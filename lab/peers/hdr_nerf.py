@@ -36,7 +36,7 @@ PHOTOGRAPH_NOISE = 1.0
 #: Samples that go through a network at once: their activations stay in a CPU's cache, and the memory is
 #: bounded (a full batch of the published size would need 4 GiB). A card wants many, measured in megabytes.
 CPU_VALUES, CUDA_VALUES = 1 << 19, 1 << 26
-#: Rendered pictures are kept up to this many bytes: whoever asks for the radiance after the bracket has it.
+#: Bytes of rendered pictures that are cached, so that the radiance is there after the bracket was rendered.
 KEPT_BYTES = 1 << 28
 
 
@@ -105,7 +105,7 @@ class HDRNeRFConfig(MethodConfig):
 
 @dataclass(frozen=True)
 class Marched:
-    """What a field says along rays: ``weights`` ``[R, S]`` of the samples, ``log_radiance`` ``[3, R, S]``."""
+    """A field along rays: ``weights`` ``[R, S]`` of the samples, ``log_radiance`` ``[3, R, S]``."""
 
     weights: torch.Tensor
     log_radiance: torch.Tensor
@@ -157,7 +157,7 @@ class HDRNeRF(WithoutSplats):
             self.density_noise = PHOTOGRAPH_NOISE if setup.anchor is None else 0.0
         self.space = RaySpace()
         self._film: tuple[Pool, Film] | None = None
-        self._kept = _Kept()
+        self._cache = _PictureCache()
 
     @property
     def tone_mapper(self) -> ToneMapper:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -195,7 +195,7 @@ class HDRNeRF(WithoutSplats):
         """The fields along ``rays``: coarse and fine.
 
         ``jitter`` ``[R or 1, S]``, ``u`` ``[R or 1, F]``: in [0, 1), where to look; ``noise``: on the
-        densities of both. Without gradients nobody sees the coarse colours, and they are left out (None).
+        densities of both. Without gradients the coarse colours are unused, and omitted (None).
         """
         t = stratified(len(rays), self.config.coarse_samples, jitter)
         coarse = None
@@ -306,16 +306,16 @@ class HDRNeRF(WithoutSplats):
     def _pictures(self, camera: Camera, exposures: tuple[float | None, ...]) -> list[torch.Tensor]:
         """Pictures ``[3, H, W]`` at ``exposures`` (seconds; None: the radiance), marched through once.
 
-        The radiance comes along, and what was rendered is kept until a parameter changes: marching is a
+        The radiance is rendered too, and what was rendered is cached until a parameter changes: marching is a
         thousand times as dear as asking twice.
         """
-        self._kept.forget_unless(self._state())
-        if any((camera, exposure) not in self._kept for exposure in exposures):
+        self._cache.forget_unless(self._state())
+        if any((camera, exposure) not in self._cache for exposure in exposures):
             wanted = tuple(dict.fromkeys((*exposures, None)))
             for exposure, picture in zip(wanted, self._render(camera, wanted), strict=True):
-                self._kept[camera, exposure] = picture
-            self._kept.shrink(keep=len(wanted))
-        return [self._kept[camera, exposure].clone() for exposure in exposures]
+                self._cache[camera, exposure] = picture
+            self._cache.shrink(keep=len(wanted))
+        return [self._cache[camera, exposure].clone() for exposure in exposures]
 
     def _state(self) -> bytes:
         """A hash of all that pictures depend on; torch's version counters miss what a fused Adam does."""
@@ -438,7 +438,7 @@ def _compared(each: Sequence[tuple[View, int]], device: torch.device) -> torch.T
     return torch.from_numpy(np.flatnonzero(np.concatenate([mask.reshape(-1) for mask in seen]))).to(device)
 
 
-class _Kept(OrderedDict[tuple[Camera, float | None], torch.Tensor]):
+class _PictureCache(OrderedDict[tuple[Camera, float | None], torch.Tensor]):
     """Rendered pictures by camera and exposure, the oldest forgotten first."""
 
     state = b""

@@ -25,7 +25,7 @@ KINDS: tuple[Kind, ...] = ("ndc", "metric")
 WIDEST_NDC_ANGLE = 75.0
 #: The nearest and the farthest depth are these quantiles of what cameras see: single points may be wrong …
 NEAREST, FARTHEST = 0.005, 0.995
-#: … and this much is left before and behind (LLFF: the near plane is at 0.75 of the nearest depth).
+#: … with this much margin before and behind (LLFF: the near plane is at 0.75 of the nearest depth).
 BEFORE, BEHIND = 0.75, 1.25
 #: Without points: depths in units of the largest distance between cameras.
 BLIND_RANGE = (0.5, 20.0)
@@ -237,7 +237,7 @@ def _distances(
 
 
 def _why_not_ndc(cameras: Sequence[Camera], frame: np.ndarray, near: float) -> str:
-    """What stands against NDC, or nothing."""
+    """Why the rays cannot be in NDC, or nothing."""
     limit = np.cos(np.radians(WIDEST_NDC_ANGLE))
     for camera in cameras:
         edges = torch.tensor([-0.5, camera.height - 0.5]), torch.tensor([-0.5, camera.width - 0.5])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a method that draws no splats answers where it is asked for them."""
+"""How a method that draws no splats answers when asked for them."""
 
 from collections.abc import Sequence
 from typing import NoReturn

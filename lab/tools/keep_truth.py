@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render the test truth that is kept in lab/data, a little better with every pass.
+"""Render the test truth that is stored in lab/data, a little better with every pass.
 
     .venvs/run-blender lab/tools/keep_truth.py -- bear dog --passes 256 --work FOLDER
     .venvs/run-blender lab/tools/keep_truth.py -- bear --passes 256,1024,1024 --reference --work FOLDER
@@ -8,9 +8,9 @@
 A pass (synth/truth.py) has so many samples and is denoised by itself; the truth is the mean of all, weighted
 by their samples. Every test and validation view of a scene gets the first pass before any gets the second,
 and so does the middle test view once more with other noise (``again``). So it may be stopped at any time, by
-CTRL-C or a kill, and resumes where it stopped, even on another machine that has only what is kept. Several
+CTRL-C or a kill, and resumes where it stopped, even on another machine that has only lab/data. Several
 may work at the same time. ``--reference`` then renders the middle test view twice without denoising, which
-together tell of its limit. Both floors go into truth.json.
+together show its limit. Both floors go into truth.json.
 
 With ``--passes 1024,1024`` it is what ``make_scene.py --test-samples 2048`` makes, but for half floats.
 """
@@ -96,7 +96,7 @@ class View:
             "seed": SEED,
             "cpu_seconds": round(facts["cpu_seconds"] + time.process_time() - began, 1),
             "camera_to_world": self.pose.tolist(),
-            **_told_of(devices),
+            **_devices_used(devices),
         }
         text = {FACTS: json.dumps(facts, sort_keys=True)}
         folder.write(self.work, exr.encode_rgb(mean, text))
@@ -105,7 +105,7 @@ class View:
         return facts
 
     def keep(self) -> None:
-        """Catch up what is kept with the work folder: killed between the two it lags behind."""
+        """Update what is stored from the work folder: killed between the two, it lags behind."""
         mean, facts = self.state()
         if self.target is None or mean is None:
             return
@@ -113,13 +113,13 @@ class View:
             stored_truth.write(self.target, mean, facts)
 
 
-def _told_of(devices: set[str]) -> dict[str, list[str]]:
+def _devices_used(devices: set[str]) -> dict[str, list[str]]:
     """What Cycles rendered with, where that was not the CPU alone."""
     return {} if devices == {Options.device} else {"devices": sorted(devices)}
 
 
 class Scene:
-    """The views of a scene: those that are kept, and those that tell how good these are."""
+    """The views of a scene: those that are stored, and those that show how good these are."""
 
     def __init__(self, name: str, cameras: CameraHints, work: Path, cycles_device: str) -> None:
         self.name, self.work, self.target = name, work / name, DATA / name
@@ -152,7 +152,7 @@ class Scene:
         exposures, response = seconds(SCENES[self.name].evs), by_name(Options.crf)
         truth = self.stored[self.middle].mean
         devices = {name for view in views for name in view.state()[1].get("devices", [Options.device])}
-        told: dict[str, Any] = {
+        description: dict[str, Any] = {
             "format": stored_truth.FORMAT,
             "version": stored_truth.VERSION,
             "generator": {**dataset.GENERATOR, "blender": bpy.app.version_string},
@@ -169,7 +169,7 @@ class Scene:
             "samples": sum(passes),
             "exposures": list(exposures),
             "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.stored)),
-            **_told_of(devices),
+            **_devices_used(devices),
             "noise_floor": {
                 "view": self.middle,
                 "response": Options.crf,
@@ -177,7 +177,7 @@ class Scene:
             },
         }
         if all(half.passes for half in self.halves):
-            told["reference_floor"] = {
+            description["reference_floor"] = {
                 "view": self.middle,
                 "response": Options.crf,
                 "samples": sum(sum(half.passes) for half in self.halves),
@@ -186,7 +186,7 @@ class Scene:
                     truth, (self.halves[0].mean, self.halves[1].mean), response, exposures
                 ),
             }
-        return told
+        return description
 
 
 def work_on(
@@ -194,7 +194,7 @@ def work_on(
 ) -> None:
     """Render until all views have these passes, and the reference its own.
 
-    Raises ``DeviceError`` where Cycles finds no GPU and one is asked for.
+    Raises ``DeviceError`` if a GPU is requested and Cycles finds none.
     """
     with (
         device.chosen(cycles_device),
@@ -214,9 +214,10 @@ def work_on(
                     _improve(scene, half, chunks[:count], camera, claims)
             for view in scene.stored:
                 view.keep()
-            if told := scene.describe():
-                folder.write_json(scene.target / stored_truth.TRUTH_FILE, told)
-                print(f"{name}: {json.dumps(told['noise_floor'])} {json.dumps(told.get('reference_floor'))}")
+            if description := scene.describe():
+                folder.write_json(scene.target / stored_truth.TRUTH_FILE, description)
+                floors = (json.dumps(description.get(key)) for key in ("noise_floor", "reference_floor"))
+                print(f"{name}: {' '.join(floors)}")
             else:
                 print(f"{name}: another process is at work on the rest; run this again when it has ended")
 
@@ -233,7 +234,7 @@ def _improve(scene: Scene, view: View, wanted: list[int], camera: Renderer, clai
         while len(there := view.passes) < len(wanted):
             if there != wanted[: len(there)]:
                 raise ConflictError(
-                    f"{scene.name} {view.name} has the passes {there}, and {wanted} are asked for",
+                    f"{scene.name} {view.name} has the passes {there}, and {wanted} are requested",
                     "ask for those that are there and for further ones",
                 )
             facts = view.improve(camera, wanted[len(there)])

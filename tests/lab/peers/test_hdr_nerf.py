@@ -451,7 +451,7 @@ def test_what_was_rendered_is_kept_until_a_parameter_changes(monkeypatch):
     assert len(calls) == 3
     monkeypatch.setattr(hdr_nerf, "KEPT_BYTES", 0)
     method.ldr_bracket(camera, [3.0, 4.0])
-    assert len(method._kept) == 3
+    assert len(method._cache) == 3
 
 
 # -- training ------------------------------------------------------------------------------------------------
