@@ -151,8 +151,9 @@ def comparison_sheet(
     ``poses``: pose numbers; None: one that is not entirely masked, with relit truth if possible, else the
     middle one. Missing exposures and parts without truth have no rows; relit truth exists for test views
     only. ``hdr`` and ``shows`` as for ``evaluate``; ``name``: of the renderer; ``scale``: the evaluation's
-    ``scale_ratio``: if it is off, HDR is shown a second time, divided by it; ``falloff``: the evaluation's
-    vignetting, None: without. Raises ``BadValueError`` for an unknown pose, and what readers raise.
+    ``scale_ratio``: if it is off, HDR is shown a second time, divided by it; a model of photographs, whose
+    unit is free, is divided by it under other light, too. ``falloff``: the evaluation's vignetting, None:
+    without. Raises ``BadValueError`` for an unknown pose, and what readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     relit, published = _relit(scene, split), bool(data_set_of(scene))
@@ -172,7 +173,7 @@ def comparison_sheet(
         for item in relit:
             if hdr and item.index == pose and can_show(item) and (lit := item.radiance()).max() > 0.0:
                 levels = item.levels_of(renderer.lights, standard_of(renderer, scene))
-                shown = _hdr(renderer, view, levels, lit)
+                shown = _hdr(renderer, view, levels, lit, scale if scale and scene.photographs else 1.0)
                 rows.append(_row(f"{view.name} {item.condition}", name, shown, gain))
     return labelled_grid(
         [*rows, [legend(SMALLEST_CELL, gain)]], f"{_title(scene, split)}: truth, {name}, residual", _note()

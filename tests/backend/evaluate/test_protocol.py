@@ -619,6 +619,14 @@ def test_relit_photographs_are_at_the_scale_of_the_standard_views(data_set: Path
     assert all(mine.ours < right.ours for mine, right in zip(off, exact, strict=True))
 
 
+def test_sheets_show_relit_photographs_at_that_scale(data_set: Path, small: ModuleType, monkeypatch) -> None:
+    labels: list[str] = []
+    monkeypatch.setattr(sheets, "labelled_grid", lambda rows, *_: labels.extend(r[1][0] for r in rows[:-1]))
+    (data_set / "prepare.json").write_text(json.dumps({"format": "physhdr-capture"}))
+    comparison_sheet(Oracle(small, scale=1.5), read_scene(data_set), [3], (), scale=1.5)
+    assert len(labels) > 2 and all(", 100.00 dB" in label for label in labels[1:]), labels
+
+
 def test_folders_of_relit_truth_go_by_their_names_where_nothing_lists_them(tmp_path: Path) -> None:
     for name in ("pendant_4", "level_0.25", "ambient_0.2+pendant_0"):
         (tmp_path / "relit" / name).mkdir(parents=True)
