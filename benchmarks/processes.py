@@ -16,14 +16,14 @@ from measure import Row
 
 HERE = Path(__file__).parent
 
-#: What is to be kept to: MB resident, seconds.
+#: Limits: MB resident, seconds.
 PEAK_MB, WARM_SECONDS, COLD_SECONDS = 2000.0, 3.0, 25.0
 #: The first iteration is that of a picture this large; it is started so many times.
 START_SIZE, STARTS = 400, 5
 
 
 class WorkerError(Exception):
-    """A worker ended without a result; the message is what it said last."""
+    """A worker ended without a result; the message is its last output."""
 
 
 def run(command: list[str], environment: dict[str, str] | None = None) -> str:
@@ -31,7 +31,7 @@ def run(command: list[str], environment: dict[str, str] | None = None) -> str:
     variables = {**os.environ, "OMP_WAIT_POLICY": "passive", **(environment or {})}
     process = subprocess.run([sys.executable, *command], env=variables, capture_output=True, text=True)
     if process.returncode:
-        last = (process.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        last = (process.stderr.strip().splitlines() or ["it printed nothing"])[-1]
         raise WorkerError(f"ended with status {process.returncode}: {last}")
     return process.stdout
 

@@ -138,7 +138,7 @@ class CameraModel:
         return quantise(self.code(self.sensed(radiance, exposure, rng), response, balance))
 
     def sensed(self, radiance: np.ndarray, exposure: float, rng: np.random.Generator) -> np.ndarray:
-        """What the sensor tells [H, W, 3] of radiance that was truly exposed for ``exposure`` s.
+        """The sensor's reading [H, W, 3] of radiance that was truly exposed for ``exposure`` s.
 
         It is full at ``SATURATION``; nothing is clipped there yet.
         """
@@ -186,7 +186,7 @@ class ViewCamera:
         return self.model.code(self.sensed(radiance, exposure), response, self._balance)
 
     def sensed(self, radiance: np.ndarray, exposure: float) -> np.ndarray:
-        """What the sensor tells [H, W, 3], with the picture's own noise and error of exposure."""
+        """The sensor's reading [H, W, 3], with the picture's own noise and error of exposure."""
         return self.model.sensed(radiance, self.true_exposure(exposure), self._noise(exposure))
 
     @property
@@ -278,7 +278,7 @@ def read_noise(iso: float) -> float:
 
 
 def noisy(x: np.ndarray, iso: float, rng: np.random.Generator) -> np.ndarray:
-    """x as a sensor tells it: n = x · N / x_s electrons, read as (Poisson(n) + σ z) · x_s / N.
+    """x as a sensor reads it: n = x · N / x_s electrons, read as (Poisson(n) + σ z) · x_s / N.
 
     N = ``electrons_at_saturation(iso)``, x_s = ``SATURATION``, σ = ``read_noise(iso)``, z standard normal.
     Mean x, variance x · x_s / N + (σ x_s / N)². Above x_s the well does not overflow: the response says where

@@ -20,7 +20,7 @@ DRAWN = "GREASEPENCIL"
 
 @contextmanager
 def taken_in(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, report: Report) -> Iterator[None]:
-    """Let shadow catchers be ordinary surfaces until the way out; tell of them and of what is not drawn."""
+    """Let shadow catchers be ordinary surfaces until the way out; report them and what is not drawn."""
     found = list(photographed(scene, layer))
     # Of a light it says that it lights catchers.
     catchers = [item for item in found if item.type != "LIGHT" and item.is_shadow_catcher]

@@ -18,7 +18,7 @@ from .blender import cycles
 from .settings import called_here
 from .stage import Stage
 
-#: The layer of the whole picture before denoising: it tells the noise.
+#: The layer of the whole picture before denoising, from which noise is measured.
 RAW = "raw"
 PLANES = {"depth": "Depth", "index": "Object Index", "samples": "Debug Sample Count"}
 NORMAL = "Normal"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The JSON files of a data set: poses, exposures, and dataset.json, which tells how all was made."""
+"""The JSON files of a data set: poses, exposures, and dataset.json, which describes how it was made."""
 
 import hashlib
 from collections.abc import Sequence

@@ -49,7 +49,7 @@ class Lens:
 
     @classmethod
     def described(cls, content: Mapping[str, Any]) -> "Lens":
-        """The lens that ``describe`` tells."""
+        """The lens that ``describe`` described."""
         k1, k2, k3, k4 = (float(content[name]) for name in COEFFICIENTS[content["camera_model"]])
         return cls(
             model=content["camera_model"],

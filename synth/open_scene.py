@@ -201,7 +201,7 @@ def _cameras(
     options: Options,
     report: Report,
 ) -> tuple[CameraHints, dict[str, Any]]:
-    """Where the rig stands, and what dataset.json tells of it."""
+    """Where the rig stands, and its description in dataset.json."""
     rays = Rays(scene, layer)
     centre = user_camera.pose(camera.evaluated_get(evaluated(layer)))
     distance, found_by = options.rig_distance, "--rig-distance"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a run tells what it does: text for people, or JSON lines for programs (``--progress-json``)."""
+"""How a run reports its progress: text for people, or JSON lines for programs (``--progress-json``)."""
 
 import json
 import os

@@ -42,7 +42,7 @@ class Renderer:
         data.sensor_fit = "HORIZONTAL"
         data.angle = stage.cameras.angle_x
         data.clip_start, data.clip_end = stage.cameras.clip
-        # Of any camera but a pinhole Cycles tells the distance, and not how far along the axis things are.
+        # For any camera but a pinhole Cycles gives the distance, not how far along the axis things are.
         self._along_axis = lens.cosines().astype(np.float32) if lens else None
         if lens:
             lens_shader.mount(lens, data)
@@ -99,7 +99,7 @@ class Renderer:
         whole = reduce(np.add, lights.values()) if self.denoise else None
         raw = colour(compositor.RAW)
         planes = {name: channels[f"{name}.V"] for name in compositor.PLANES}
-        planes["samples"] = planes["samples"] * most  # Cycles tells the share of what any pixel got
+        planes["samples"] = planes["samples"] * most  # Cycles gives the share of what any pixel got
         if self._along_axis is not None:
             seen = planes["depth"] < SKY
             planes["depth"] = np.where(seen, planes["depth"] * self._along_axis, planes["depth"])
@@ -131,7 +131,7 @@ def renderer(stage: Stage, denoise: bool, lens: Lens | None = None) -> Iterator[
 def _most_samples(scene: bpy.types.Scene) -> Iterator[list[int]]:
     """The samples that the pixel with most of them gets, known on the way out.
 
-    Where all pixels are good early, Cycles ends before ``cycles.samples``: only its status line tells.
+    If all pixels are good early, Cycles ends before ``cycles.samples``: only its status line shows that.
     """
     most = [cycles(scene).samples]
     if not cycles(scene).use_adaptive_sampling:

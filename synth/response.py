@@ -12,7 +12,7 @@ from ..bridge.srgb import to_srgb
 from . import folder
 from .errors import DamagedFileError, ResponseFileError, UnknownNameError
 
-#: Above this code value 1 is no good anchor: its slope no longer tells the scale.
+#: Above this, code value 1 is not a good anchor: its slope no longer determines the scale.
 SATURATED = 0.95
 #: The least code value that 8 bits do not round to black; as far below 1 it is not rounded to white.
 BLACK = 0.5 / 255

@@ -20,11 +20,11 @@ def warnings(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
     """Warnings about the simulations of all that is rendered: one sentence per cause, with the names."""
     found = list(rendered(scene, layer))
     loose = [item.name for item in found if _is_loose(item)] + _rigid_bodies(scene, found)
-    said = []
+    sentences = []
     if loose:
-        said.append(f"simulations that are not baked may look otherwise: {_names(loose)}")
+        sentences.append(f"simulations that are not baked may look otherwise: {_names(loose)}")
     if packed := [item.name for item in found if any(_is_packed(*each) for each in _zones(item))]:
-        said.append(
+        sentences.append(
             "simulation nodes stand as at their first frame, unless they are baked into the file: "
             f"{_names(packed)}"
         )
@@ -35,12 +35,12 @@ def warnings(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
     world = scene.rigidbody_world
     if world is not None and world.enabled:
         _note_lost(world.point_cache, scene, "the rigid bodies", lost)
-    said += [
+    sentences += [
         f"the simulation cache of {_names(names)} was not found (there is no folder '{folder}'), and what is "
         "simulated may look otherwise: put it there, or switch off Disk Cache and bake into the file"
         for folder, names in lost.items()
     ]
-    return said
+    return sentences
 
 
 def _names(names: list[str]) -> str:

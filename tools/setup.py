@@ -207,15 +207,15 @@ def complete(name: str, pip: list) -> subprocess.CompletedProcess:
 
 
 def fail_pip(done: subprocess.CompletedProcess) -> int:
-    said = done.stderr.strip() or done.stdout.strip()
-    said = said[max(said.find("ERROR"), 0) :]
-    if "DO NOT MATCH THE HASHES" in said:
+    output = done.stderr.strip() or done.stdout.strip()
+    output = output[max(output.find("ERROR"), 0) :]
+    if "DO NOT MATCH THE HASHES" in output:
         return fail(
-            f"a package is not the file that was locked; it was not installed:\n{said}",
+            f"a package is not the file that was locked; it was not installed:\n{output}",
             "Somebody may have exchanged it: see where it came from (pip config list). If it was pip's "
             "cache: pip cache purge. If the lock is what is wrong: make lock.",
         )
-    return fail(f"pip failed:\n{said}", "Check the network and the disk, then try again.")
+    return fail(f"pip failed:\n{output}", "Check the network and the disk, then try again.")
 
 
 def fingerprint(interpreter: str) -> str:
@@ -254,7 +254,7 @@ def works(python: str, version: str) -> bool:
 
 
 def run(command: list, more: dict[str, str] | None = None) -> subprocess.CompletedProcess:
-    """What the command said and how it ended; ``more``: added to the environment."""
+    """The command's output and exit status; ``more``: added to the environment."""
     # Where pip's settings say "user", it would refuse to install into an environment.
     words, environment = [str(part) for part in command], {**os.environ, "PIP_USER": "0", **(more or {})}
     try:

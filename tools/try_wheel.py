@@ -91,8 +91,8 @@ def call(command: list, folder: Path) -> str:
     words = [str(word) for word in command]
     done = subprocess.run(words, cwd=folder, env=settings, capture_output=True, text=True, check=False)
     if done.returncode:
-        said = (done.stderr or done.stdout).strip()
-        raise TrialError(f"{' '.join(words)} ended with {done.returncode}:\n{said}")
+        output = (done.stderr or done.stdout).strip()
+        raise TrialError(f"{' '.join(words)} ended with {done.returncode}:\n{output}")
     return done.stdout
 
 

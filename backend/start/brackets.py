@@ -19,7 +19,7 @@ KNOWN_FROM = 0.02
 
 
 class Votes:
-    """What a code value says of ln(exposure × radiance), and how much that weighs, as tables."""
+    """The vote of a code value for ln(exposure × radiance), and its weight, as tables."""
 
     def __init__(self, response: Response) -> None:
         self._response = response

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A place for what is seen only far away: points on a sphere around everything, where no nearer ones are.
 
-Sky, hills and what lies behind a window have neither matches nor parallax, so that first points leave them
-out. Gaussians that start near would have to explain them, as haze before the cameras. Points far away are
+Sky, hills and what lies behind a window have neither matches nor parallax, so that first points miss
+them. Gaussians that start near would have to explain them, as haze before the cameras. Points far away are
 where such light comes from: ordinary points, whose Gaussians are learned, exported and drawn as all others.
 """
 

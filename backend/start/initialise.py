@@ -27,7 +27,7 @@ Source = Literal["auto", "both", "file", "stereo", "random"]
 RANDOM_DEPTH_RANGE = (0.5, 20.0)
 #: With fewer points than this, stereo has failed.
 FEWEST_STEREO_POINTS = 100
-#: More are thinned, for densification knows better where Gaussians are needed: first points fill this share
+#: More are thinned, as densification knows better where Gaussians are needed: first points fill this share
 #: of their budget; stereo's may be as many as the second share in any case, and at most so many.
 FILLED, LEAST_STEREO, MOST_STEREO_POINTS = 0.5, 1.0 / 6.0, 40_000
 
@@ -56,7 +56,7 @@ def random_points(views: list[View], count: int, seed: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FirstPoints:
-    """Where Gaussians start, ``positions`` ``[P, 3]`` (metres), and whence: a line for the user.
+    """Where Gaussians start, ``positions`` ``[P, 3]`` (metres), and their source: a line for the user.
 
     ``colours`` ``[P, 3]`` in [0, 1]: those of the data set's points, None where they come from elsewhere.
     ``are_random``: they do not say where the scene is.

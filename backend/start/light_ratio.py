@@ -18,7 +18,7 @@ from ..model.tone_mapper import Response
 from ..scene.scene import View
 from .observations import Observations, observations
 
-#: So many points are asked, all over the scene, and so many must be seen under both lights.
+#: So many points are used, all over the scene, and so many must be seen under both lights.
 POINTS, FEWEST = 6000, 10
 #: The shares of points beyond which a ratio is taken for an error: of the extreme, and of what is usual.
 EXTREME, TAIL = 0.03, 0.05
@@ -73,7 +73,7 @@ def light_ratio(
 def _log_radiance(
     points: np.ndarray, chosen: np.ndarray, taken: Sequence[Taken], response: Response
 ) -> np.ndarray:
-    """The mean ln radiance of ``chosen`` points over photos, ``[P, 3]``; NaN where none tells."""
+    """The mean ln radiance of ``chosen`` points over photos, ``[P, 3]``; NaN where it is unknown."""
     views, exposures = [view for view, _ in taken], [indices for _, indices in taken]
     reach = [widest(view.camera) for view in views]
     seen, _ = observations(points, chosen, views, exposures, range(len(views)), reach)

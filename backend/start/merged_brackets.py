@@ -10,8 +10,8 @@ codes scatter about it is noise: of a pair of exposures, with s the table's slop
     var(code k | code j) = σ²(code k) + s² σ²(code j),
 
 and as a sensor's noise depends on the light that it counts, σ² is one function of the code for all exposures.
-Solved by least squares with σ² ≥ 0 it is the pictures' own noise level; nobody has to tell it. Each picture
-then becomes the mean of what it and the others say of it, each weighted by 1/variance, where they agree.
+Solved by least squares with σ² ≥ 0 it is the pictures' own noise level; nobody has to state it. Each picture
+then becomes the mean of what it and the others predict, each weighted by 1/variance, where they agree.
 
 Medians, because codes are a curved function of the light: of noisy codes the mean is not the code of the mean
 light, the median is (but for what is cut off at black and white).
@@ -28,7 +28,7 @@ from ..memory import picture_room
 from ..scene.scene import View
 from ..simd import kernel, run_ranges
 
-#: Codes are told in steps of 8 bits.
+#: Codes are distinguished in steps of 8 bits.
 CODES = 256
 #: Brackets of more exposures are not merged: tables are made of every pair.
 LARGEST_BRACKET = 16
@@ -36,7 +36,7 @@ LARGEST_BRACKET = 16
 SAMPLED_PIXELS = 1 << 20
 #: A code of which fewer pixels are known has its neighbours' entry; more than the most weigh no more.
 LEAST_COUNT, MOST_COUNT = 20, 5000
-#: Where a table is steeper, codes at j are too coarse to tell of the noise at k.
+#: Where a table is steeper, codes at j are too coarse to show the noise at k.
 STEEPEST = 3.0
 #: Standard deviation, in codes, of the window in which tables are smoothed.
 SMOOTH = 2
@@ -48,7 +48,7 @@ CUT = 1.5
 TOLERANCE = 1.5
 #: Variance of a code that is rounded.
 ROUNDING = 1.0 / 12.0
-#: What another exposure says counts where it lies within so many standard deviations: things move.
+#: Another exposure's prediction counts if it lies within so many standard deviations: things move.
 AGREEMENT = 6.0
 #: σ, in codes, from which brackets are worth merging: below it noise is hardly more than the rounding.
 WORTH_IT = 1.0
@@ -56,7 +56,7 @@ WORTH_IT = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """How a camera's exposures tell of each other, of a bracket of K. All in codes of 8 bits.
+    """How a camera's K exposures predict each other. All in codes of 8 bits.
 
     ``mapping`` ``[K, K, 3, 256]``: the code at exposure k (second) that a code at j has, each channel;
     ``variance`` the same shape: of that, without k's own noise. ``noise`` ``[256]``: σ² of a code.
@@ -82,9 +82,9 @@ class Tables:
 
 
 def tables_of(stacks: Sequence[np.ndarray]) -> Tables | None:
-    """What brackets of one camera say; each ``[K, P, 3]`` codes 0 … 255 of any type, K alike.
+    """What brackets of one camera show; each ``[K, P, 3]`` codes 0 … 255 of any type, with the same K.
 
-    None where they do not overlap enough to tell.
+    None if they do not overlap enough.
     """
     count = stacks[0].shape[0]
     mapping = np.zeros((count, count, 3, CODES), np.float32)
@@ -102,7 +102,7 @@ def tables_of(stacks: Sequence[np.ndarray]) -> Tables | None:
         return None
     brought = _brought(mapping, noise)
     explained = brought + np.interp(mapping.clip(0.0, CODES - 1.0), np.arange(CODES), noise)
-    # What scatters much more than noise explains is no noise: a gain of its own, or what moved.
+    # What scatters much more than noise explains is not noise: a gain of its own, or movement.
     variance = np.maximum(brought + np.maximum(scatter - TOLERANCE * explained, 0.0), ROUNDING)
     variance[known < LEAST_COUNT] = np.inf
     return Tables(mapping, variance.astype(np.float32), noise.astype(np.float32))
@@ -158,7 +158,7 @@ def _smoothed(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def _noise(mapping: np.ndarray, scatter: np.ndarray, known: np.ndarray) -> np.ndarray | None:
-    """σ² of every code ``[256]``, from all pairs; None where nothing tells."""
+    """σ² of every code ``[256]``, from all pairs; None if nothing determines it."""
     from scipy.optimize import nnls
 
     slope = np.gradient(mapping, axis=3)
@@ -179,7 +179,7 @@ def _noise(mapping: np.ndarray, scatter: np.ndarray, known: np.ndarray) -> np.nd
 
 
 def _brought(mapping: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Variance, as ``mapping``, of what is told of k by a code of j that has j's noise.
+    """Variance, as ``mapping``, of the prediction for k from a code of j that has j's noise.
 
     Over the whole reach of the noise: tables are flat near black, and bend.
     """
@@ -207,7 +207,7 @@ def _merge(first, last, exposures, codes, mapping, variance, noise, result):
             for k in range(exposures):
                 own = codes[k, p, c]
                 value = own
-                for _ in range(2):  # the second time its noise is told by what is known better
+                for _ in range(2):  # the second time its noise comes from better values
                     own_noise = noise[min(max(int(value + np.float32(0.5)), 0), CODES - 1)]
                     weight = np.float32(1.0) / own_noise
                     total = weight * own

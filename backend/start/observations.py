@@ -12,7 +12,7 @@ from ..scene.scene import View
 
 #: Points in a cell of the picture, by which others are hidden that are so much farther.
 POINTS_A_CELL, HIDDEN_FROM = 4.0, 1.1
-#: Codes between these tell how much light there was.
+#: Codes between these show how much light there was.
 TELLING = (0.03, 0.97)
 
 
@@ -86,7 +86,7 @@ def observations(
     lens: Sequence[int],
     reach: Sequence[float],
 ) -> tuple[Observations, Observations]:
-    """What tells how much light there was, and what is brighter, up to white."""
+    """What shows how much light there was, and what is brighter, up to white."""
     columns: tuple[list[tuple[np.ndarray, ...]], ...] = ([], [])
     photo = 0
     for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):

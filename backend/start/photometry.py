@@ -36,9 +36,9 @@ from .observations import TELLING, Observations, in_sight, observations, project
 
 #: Enough points, and at most so many pairs of a point and a photo that sees it, unless more are needed.
 POINTS, OBSERVATIONS = 3000, 300_000
-#: So many views tell in how many photos a point is seen.
+#: So many views are used to estimate in how many photos a point is seen.
 SAMPLED_VIEWS = 100
-#: What is white in 8 bits. So many must be known to be white, and not to be, to tell from where on it is.
+#: White in 8 bits. So many must be known to be white, and not to be, to find where it begins.
 WHITE, FEWEST_WHITE = 254.5 / 255.0, 100
 #: Degree of ln f⁻¹ as a polynomial of logit z, and the ridge that keeps it one.
 DEGREE, RIDGE = 6, 1e-6
@@ -60,7 +60,7 @@ ROUNDS, SETTLING, TOLERANCE = 12, 3, 1.0
 LEAST_SPREAD = 0.02
 #: What residuals are expected to be (natural logarithm): how deviations that are expected weigh against them.
 EXPECTED = 0.1
-#: Logits of the codes that may be expected, and how finely they are told apart.
+#: Logits of the codes that may be expected, and how finely they are distinguished.
 EXPECTED_CODES, GRID = math.log(99.0), 401
 #: What is left of the weight of what was seen only because it errs inward: no point may be without any.
 UNEVEN = 1e-3
@@ -71,7 +71,7 @@ GAUGE = 1e6
 LARGEST_SHARE = 0.3
 #: With fewer equations than this for each unknown there is nothing to be found.
 LEAST_EQUATIONS = 20
-#: So many are sought for each unknown: of what is in sight, not all tells how much light there was.
+#: So many are sought for each unknown: not all that is in sight shows how much light there was.
 SOUGHT_EQUATIONS = 5 * LEAST_EQUATIONS
 #: With more unknowns nothing is sought: their normal equations are dense.
 MOST_UNKNOWNS = 12_000
@@ -84,8 +84,8 @@ class Photometry:
     """Natural logarithms: ``gain`` ``[P]`` of the photos, ``balance`` ``[V, 2]`` of the places' red and blue.
 
     ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0. ``inverse_response``
-    ``[3, D]``: ln f⁻¹ of each channel, a polynomial of logit z (``inverse_at``); None where nobody looked.
-    ``white`` ``[3]``: its value from which a channel is white; NaN where photos do not tell.
+    ``[3, D]``: ln f⁻¹ of each channel, a polynomial of logit z (``inverse_at``); None if not solved for.
+    ``white`` ``[3]``: its value from which a channel is white; NaN where photos do not show it.
     """
 
     gain: np.ndarray
@@ -176,9 +176,9 @@ def _chosen(
     reach: Sequence[float],
     unknowns: int,
 ) -> np.ndarray:
-    """Which of the points are asked, ``[P]`` bool: so many that they tell enough, all over the scene.
+    """Which of the points are used, ``[P]`` bool: enough of them, all over the scene.
 
-    In a walk of a thousand photos a point is seen in a few of them: the more points are asked.
+    In a walk of a thousand photos a point is seen in few of them, so that more points are used.
     """
     count, along = POINTS, morton_order(torch.as_tensor(points)).numpy()
     if photos * POINTS > OBSERVATIONS:
@@ -380,7 +380,7 @@ def _codes_of(light: np.ndarray, channel: np.ndarray, curves: np.ndarray) -> np.
 def _is_even(light: np.ndarray, residual: np.ndarray, channel: np.ndarray, curves: np.ndarray) -> np.ndarray:
     """Whether a residual of the other sign would have been seen as well: ``[N]`` bool.
 
-    Near the ends of what tells only those that lead inward are seen, and their mean is not 0 (Powell,
+    Near the ends of the usable codes only those that lead inward are seen, and their mean is not 0 (Powell,
     "Symmetrically trimmed least squares estimation for Tobit models", 1986).
     """
     low, high = (_powers(_logit(np.array(TELLING))) @ curves.T)[:, channel]
@@ -406,7 +406,7 @@ def _white_from(
 ) -> np.ndarray:
     """ln(exposure × radiance) from which each channel is white, ``[3]``: where most are on the right side.
 
-    A point's radiance is what photos tell in which it is not white. NaN where few are known to be either.
+    A point's radiance comes from photos in which it is not white. NaN where few are known to be either.
     """
     light, channels, codes = (
         np.concatenate(pair)
@@ -428,7 +428,7 @@ def _white_from(
 
 
 def _light(seen: Observations, solved: Photometry, radiance_of: dict[int, float]) -> np.ndarray:
-    """ln(exposure × radiance) ``[N]`` as each photo had it; NaN of a point whose radiance nobody told."""
+    """ln(exposure × radiance) ``[N]`` as each photo had it; NaN for a point of unknown radiance."""
     radiance = np.array([radiance_of.get(key, math.nan) for key in (seen.point * 3 + seen.channel).tolist()])
     red, blue = solved.balance[seen.place].T
     balance = np.select([seen.channel == 0, seen.channel == 2], [red, blue], 0.0)
@@ -442,7 +442,7 @@ def _powers(logit: np.ndarray) -> np.ndarray:
 
 
 def _bending() -> np.ndarray:
-    """``[D, D]``: makes of a polynomial's coefficients ∫ g″² d logit z over the codes that tell."""
+    """``[D, D]``: makes of a polynomial's coefficients ∫ g″² d logit z over the usable codes."""
     end = math.log(TELLING[1] / (1.0 - TELLING[1]))
     at = np.linspace(-end, end, 1001)
     power = np.arange(1, DEGREE + 1)

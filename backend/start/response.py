@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The camera's response at the start of a training: as brackets tell it, or points, or else sRGB's.
+"""The camera's response at the start of a training: from brackets, or from points, or else sRGB's.
 
 A pixel has one radiance in all pictures of its bracket, so that two codes of it, at exposures t₁ < t₂, say
 
@@ -95,7 +95,7 @@ def bracket_response(
 def point_response(
     found: Photometry | None, anchor: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The same of what points tell, where views have one exposure each; None where they do not tell."""
+    """The same from points, where views have one exposure each; None if they do not determine it."""
     if found is None or found.inverse_response is None:
         return None
     # Beyond the codes that were looked at a polynomial goes anywhere: straight on, or to where white begins.
@@ -125,7 +125,7 @@ def _up_to_white(curve: np.ndarray, white: float) -> np.ndarray:
 
 
 def display_response(anchor: tuple[float, float] | None) -> tuple[np.ndarray, np.ndarray]:
-    """The same where nothing tells: sRGB's curve. What a camera develops is meant to be seen on a display."""
+    """The same if nothing determines it: sRGB's curve. Cameras develop pictures to be seen on a display."""
     codes = np.clip(_CODE, 0.5, 255.0) / 255.0
     at, value = _gauge(anchor)
     rising = _rising(np.log(srgb.to_linear(codes)), at, value)
@@ -211,7 +211,7 @@ def _joined(equations: Sequence[_Equations]) -> _Equations:
 
 
 def _solved(seen: _Equations, at: float, value: float, begin: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """g at all codes ``[256]``, ``value`` at code ``at``; where nothing is said it bends as ``expected``.
+    """g at all codes ``[256]``, ``value`` at code ``at``; where nothing is known it bends as ``expected``.
 
     ``begin``: what it is about, by whose slopes errors of codes become errors of g.
     """

@@ -11,7 +11,7 @@ What has no texture and no edge of its own gets the depth of what surrounds it: 
 frame. Views from elsewhere see through such points what lies behind, by which they are known and dropped.
 
 Everything metric comes from the cameras: neighbours, the range of depths and its steps. What cameras could
-see in common reaches much nearer than what there is, so a rough sweep at half the size comes first: it tells
+see in common reaches much nearer than what there is, so a rough sweep at half the size comes first: it finds
 over which depths the scene lies, for finer steps, and who sees what of it, for neighbours that together see
 all of a picture.
 
@@ -43,7 +43,7 @@ LARGEST_ANGLE = 60.0
 #: A depth is considered at first where this share of the pixels is seen by at least two neighbours; and then
 #: where all but these shares of a view's points are, and as far beyond as this share of their range.
 SMALLEST_OVERLAP, OUTSIDE, BEYOND = 0.25, 0.005, 0.5
-#: Of fewer points in a view nothing is said of its range.
+#: With fewer points in a view its range counts as unknown.
 FEWEST_IN_VIEW = 100
 #: At most this many depths; steps are about a pixel of parallax against the farthest neighbour.
 FEWEST_DEPTHS, MOST_DEPTHS = 24, 256
@@ -179,7 +179,7 @@ def _seen_through(points: np.ndarray, maps: list["_DepthMap"]) -> np.ndarray:
 class _DepthMap:
     """A view's inverse depths ``[H, W]`` float32 (1/m along the optical axis) and their ``step``.
 
-    ``usable`` and ``kept``, ``[H·W]`` bool: where it tells of a surface, and which pixels became points.
+    ``usable`` and ``kept``, ``[H·W]`` bool: where it has a surface, and which pixels became points.
     """
 
     camera: Camera
