@@ -5,7 +5,8 @@ Photographs under other light are few, and see some of the room. A share is of t
 whatever the colour of the surface, so that neighbours on the same surface have nearly the same. With w the
 pixels that a Gaussian makes in views in which a light differs, and u the median of those that make any, its
 share becomes (w s + d s') / (w + d), d = ``DOUBT`` u and s' the mean of its nearest neighbours that such
-views see well. What the standard photos show does not change.
+views see well. What the standard photos show does not change. The ambient light, where it never
+changes, is all the rest.
 
 On a rendered room of 100×100 pixels, photos left out gained 0.75, 0.06 and −0.03 dB (three lamps) where each
 lamp was seen from one place, 0.23, −0.02 and 0.02 dB from two.
@@ -17,6 +18,7 @@ from typing import Self
 import numpy as np
 import torch
 
+from ...bridge.lights import AMBIENT
 from ..model.gaussians import SH_C0, Gaussians
 from ..scene.scene import View
 from .plan import Plan
@@ -69,12 +71,26 @@ def fill(state: State) -> None:
         gaussians.means.double().cpu().numpy(),
         normals(gaussians),
     )
+    lights = state.plan.seen.lights
+    if AMBIENT in lights and not _changed(state, ambient := lights.index(AMBIENT)):
+        share = with_rest(share, ambient)
     logits = np.log(share) - np.log(1.0 - share.sum(axis=1, keepdims=True))
     gaussians.light_share_logits.copy_(torch.from_numpy(logits))
     offsets = torch.tensor(standard, dtype=before.dtype, device=before.device) - 1.0
     if offsets.any():
         was, now = (1.0 + torch.einsum("ncd,c->nd", s, offsets) for s in (before, gaussians.light_share))
         gaussians.reflectance_dc[:, 0] += (was / now).log() / SH_C0
+
+
+def with_rest(share: np.ndarray, ambient: int) -> np.ndarray:
+    """Shares ``[N, C, 3]`` where all light is the ambient one's that no other of the C lights causes.
+
+    Where it never changes, nothing else tells its share from that of light that cannot be turned.
+    """
+    result = share.copy()
+    result[:, ambient] = 0.0
+    result[:, ambient] = (1.0 - LEAST - result.sum(axis=1)).clip(LEAST)
+    return result / np.maximum(result.sum(axis=1, keepdims=True) / (1.0 - LEAST), 1.0)
 
 
 def _changed(state: State, light: int) -> list[View]:

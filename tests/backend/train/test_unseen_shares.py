@@ -44,6 +44,27 @@ def test_shares_stay_shares_and_lamps_that_nobody_saw_change_are_left():
     assert np.array_equal(found[:, 0], share[:, 0].clip(LEAST))
 
 
+def test_ambient_light_that_never_changes_is_all_the_rest(tiny_data):
+    """With it and the lamp off, nothing shines; with the lamp alone off, what the photos show is left."""
+    scene = read_scene(tiny_data)
+
+    def at(view, lamp, group=""):
+        return dataclasses.replace(view, lighting_levels=(1.0, lamp), standard_levels=(1.0, 1.0), group=group)
+
+    train, lit = [at(view, 1.0) for view in scene.train], [at(scene.lit[1], 0.0, "lamp off")]
+    scene = dataclasses.replace(scene, train=train, lit=lit, lights=("ambient", "lamp"))
+    state = begin(scene, dataclasses.replace(PRESETS["default"], iterations=8))
+    for _ in range(7):
+        step(state)
+    camera, method = train[0].camera, state.method
+    standard, without = method.hdr(camera), method.hdr(camera, (1.0, 0.0))
+    assert (method.hdr(camera, (0.0, 0.0)) > 0.05 * standard).float().mean() > 0.5
+    fill(state)
+    assert torch.allclose(method.hdr(camera), standard, rtol=1e-3, atol=1e-5)
+    assert (method.hdr(camera, (0.0, 0.0)) < 1e-3 * standard + 1e-6).all()
+    assert torch.allclose(method.hdr(camera, (1.0, 0.0)), without, rtol=0.3, atol=1e-3)
+
+
 @pytest.fixture
 def one_place(tiny_data):
     """A tiny capture with a lamp that is off in the standard views, and on in one photo alone."""
