@@ -120,7 +120,10 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize(("kind", "end"), [*((kind, b"\n") for kind in LONG), ("elements", b"\r")])
+@pytest.mark.parametrize(
+    ("kind", "end"),
+    [*((kind, b"\n") for kind in LONG), pytest.param("elements", b"\r", marks=pytest.mark.long)],
+)
 def test_a_long_header_is_read_in_seconds(tmp_path: Path, kind: str, end: bytes) -> None:
     """1 s a megabyte of comments, 24 s of 100,000 elements, and for ever of "space: space: …"."""
     path = with_header(tmp_path / "a.ply", 3, LONG[kind], end)

@@ -32,7 +32,12 @@ SHORT = ["--iterations", "30", "--set", "sh_degree_every=5"]
 
 
 @pytest.fixture(
-    scope="module", params=["default", "paper", "baseline", pytest.param("fast", marks=pytest.mark.long)]
+    scope="module",
+    params=[
+        "default",
+        "paper",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("baseline", "fast")),
+    ],
 )
 def run(request, tiny_data, tmp_path_factory):
     """A short run of each preset, trained by the command."""

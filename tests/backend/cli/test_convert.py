@@ -208,6 +208,7 @@ def test_another_programs_colours_pass_through(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.position, m.position, atol=1e-6)
 
 
+@pytest.mark.long
 def test_what_usds_radiance_changes_of_display_colours_is_told(tmp_path: Path, capsys) -> None:
     """As much as codes differ that are worked out here, direction by direction; not a bit where they stay."""
     pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")

@@ -85,8 +85,8 @@ def test_a_program_is_told_what_happens(run, tmp_path, capsys):
     [
         ("baseline", ("ambient",)),
         ("paper", ()),
-        ("hdr-gs", ("ambient",)),
-        ("default-scaffold", ("ambient",)),
+        pytest.param("hdr-gs", ("ambient",), marks=pytest.mark.long),
+        pytest.param("default-scaffold", ("ambient",), marks=pytest.mark.long),
         pytest.param("hdr-nerf-small", (), marks=pytest.mark.long),
     ],
 )

@@ -660,8 +660,9 @@ def started(photos, out):
     return process, child
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_cancelled_it_leaves_nothing(photos, tmp_path, number):
     process, child = started(photos, tmp_path / "out")
     if number == signal.SIGINT:

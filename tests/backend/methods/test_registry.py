@@ -30,7 +30,10 @@ def test_a_name_leads_to_the_settings_and_back():
         method_of({"name": "nerf"})
 
 
-@pytest.mark.parametrize("preset", SMALL)
+@pytest.mark.parametrize(
+    "preset",
+    [pytest.param(name, marks=[pytest.mark.long] * (name == "hdr-nerf-small")) for name in SMALL],
+)
 def test_what_is_declared_is_so(preset, tiny_data):
     config = PRESETS[preset]
     traits = config.method.traits

@@ -231,6 +231,7 @@ def test_a_python_that_is_too_old_is_told_so(extension, monkeypatch, capsys):
     assert json.loads(told.out)["error"]["code"] == "python_too_old"
 
 
+@pytest.mark.long
 def test_check_does_a_training_step(capsys):
     """Where everything is there: progress that never goes back, versions, a finite loss."""
     from physhdr.backend.cli import main

@@ -221,27 +221,41 @@ def test_a_training_that_learned_poses_says_how_far_they_moved(tiny_data, tmp_pa
 
 @pytest.fixture(scope="module")
 def runs(whole_run, tiny_data, tmp_path_factory):
-    """A trained run of each kind: one picture for both tones, one with local curves, other methods."""
+    """A trained run of a preset, each trained once: one picture for both tones, local curves …"""
     folders = {"default": whole_run}
-    for preset in ("paper", "default-scaffold", "gausshdr-short", "hdr-gs-short"):
-        folders[preset] = tmp_path_factory.mktemp(preset)
-        command = ["train", str(tiny_data), "--out", str(folders[preset]), "--preset", preset]
-        if hasattr(PRESETS[preset].method, "tone_mapper"):
-            command += ["--set", "method.tone_mapper.warm_start_steps=0"]
-        assert main([*command, "--iterations", "12"]) == 0
-    return folders
+
+    def trained(preset):
+        if preset not in folders:
+            folders[preset] = tmp_path_factory.mktemp(preset)
+            command = ["train", str(tiny_data), "--out", str(folders[preset]), "--preset", preset]
+            if hasattr(PRESETS[preset].method, "tone_mapper"):
+                command += ["--set", "method.tone_mapper.warm_start_steps=0"]
+            assert main([*command, "--iterations", "12"]) == 0
+        return folders[preset]
+
+    return trained
 
 
 def srgb_to_linear(codes):
     return np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
 
 
-@pytest.mark.parametrize("preset", ["default", "paper", "default-scaffold", "gausshdr-short", "hdr-gs-short"])
+@pytest.mark.parametrize(
+    "preset",
+    [
+        "default",
+        "paper",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("default-scaffold", "gausshdr-short", "hdr-gs-short")
+        ),
+    ],
+)
 def test_previews_are_the_methods_pictures(backend, enter, runs, tmp_path, preset):
     peer = enter(backend)
     peer.ask(ControlTake())
-    assert peer.ask(RunOpen(run=str(runs[preset]))) == Done()
-    method = open_run(runs[preset]).method
+    assert peer.ask(RunOpen(run=str(runs(preset)))) == Done()
+    method = open_run(runs(preset)).method
     assert peer.status.state == "open" and peer.status.has_model
     assert (
         peer.status.can_relight == method.can_relight == (preset in ("default", "paper", "default-scaffold"))
@@ -323,7 +337,7 @@ def test_depth_is_that_of_a_single_gaussian():
 
 def test_previews_that_cannot_be_are_refused(backend, enter, runs):
     peer = enter(backend)
-    peer.ask(RunOpen(run=str(runs["default"])))
+    peer.ask(RunOpen(run=str(runs("default"))))
 
     def refused(peer=peer, **changes):
         request = PreviewRequest(**{"sequence": 1, "camera": camera(), **changes})
@@ -355,7 +369,7 @@ def test_previews_that_cannot_be_are_refused(backend, enter, runs):
 
 def test_only_the_newest_of_many_previews_is_rendered(backend, enter, runs):
     peer = enter(backend)
-    peer.ask(RunOpen(run=str(runs["default"])))
+    peer.ask(RunOpen(run=str(runs("default"))))
     seen = len(peer.frames)
     numbers = [peer.send(PreviewRequest(sequence=i, camera=camera(400))) for i in range(40)]
     peer.until(lambda: len(peer.frames) - seen + sum(n in peer.answers for n in numbers) == 40)
@@ -366,7 +380,7 @@ def test_only_the_newest_of_many_previews_is_rendered(backend, enter, runs):
 
 def test_two_clients_are_served_in_turn(backend, enter, runs):
     one, two = enter(backend, "one"), enter(backend, "two")
-    one.ask(RunOpen(run=str(runs["default"])))
+    one.ask(RunOpen(run=str(runs("default"))))
     two.until(lambda: two.status.state == "open")
     for sequence in range(5):
         requests = [PreviewRequest(sequence=10 * i + sequence, camera=camera(40 + 16 * i)) for i in range(2)]
@@ -381,9 +395,9 @@ def test_two_clients_are_served_in_turn(backend, enter, runs):
 def test_no_file_of_the_users_is_replaced_by_an_export(backend, enter, refusal, runs, tmp_path):
     """Neither by one who watches, whatever is there, nor by the one who steers, where it is no model."""
     steers, watches = enter(backend, "Blender"), enter(backend, "a script that watches")
-    steers.ask(RunOpen(run=str(runs["default"])))
+    steers.ask(RunOpen(run=str(runs("default"))))
     other = tmp_path / "other"
-    shutil.copytree(runs["paper"], other)
+    shutil.copytree(runs("paper"), other)
     notes, model = tmp_path / "notes.safetensors", tmp_path / "model.safetensors"
     notes.write_text("mine")
     checkpoint = (other / CHECKPOINT).read_bytes()
@@ -403,7 +417,7 @@ def test_no_file_of_the_users_is_replaced_by_an_export(backend, enter, refusal, 
 
 def test_an_export_into_the_run_says_where_its_cameras_are(backend, enter, refusal, runs, tmp_path):
     """Blender's import asks for that; elsewhere no file is written that nobody asked for."""
-    run = shutil.copytree(runs["default"], tmp_path / "run")
+    run = shutil.copytree(runs("default"), tmp_path / "run")
     cameras, peer = run / "cameras.json", enter(backend, "Blender")
     cameras.unlink(missing_ok=True)
     peer.ask(RunOpen(run=str(run)))
@@ -511,11 +525,11 @@ def test_a_run_whose_data_have_moved_opens_with_their_new_place(backend, enter, 
     assert peer.ask(StatusGet()).state == "open" and peer.status.has_model  # what was open stays
 
 
-@pytest.mark.parametrize("preset", ["default", "default-scaffold"])
+@pytest.mark.parametrize("preset", ["default", pytest.param("default-scaffold", marks=pytest.mark.long)])
 def test_a_run_is_looked_at_without_its_data(backend, enter, refusal, tiny_data, runs, tmp_path, preset):
     """To the bit as with them: pictures, levels, the learned response, the exported model."""
     run, data = tmp_path / "run", tmp_path / "gone"
-    shutil.copytree(runs[preset], run)
+    shutil.copytree(runs(preset), run)
     write_config(run / "config.json", read_config(run / "config.json").config, data, preset)
     assert (run / VIEWS_FILE).is_file()
     peer, asked = enter(backend), PreviewRequest(sequence=1, camera=camera(), exposure_ev=1.0)

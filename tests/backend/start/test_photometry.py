@@ -150,7 +150,10 @@ def test_the_faults_of_a_camera_are_found(kind):
 
 @pytest.mark.parametrize(
     "exposures",
-    [lambda r: (float(2.0 ** r.uniform(-2.0, 2.0)),), lambda r: (float(16.0 ** r.integers(-1, 2)),)],
+    [
+        lambda r: (float(2.0 ** r.uniform(-2.0, 2.0)),),
+        pytest.param(lambda r: (float(16.0 ** r.integers(-1, 2)),), marks=pytest.mark.long),
+    ],
     ids=["automatic", "sixteenfold"],
 )
 def test_the_response_is_found_where_each_photo_has_its_own_exposure(exposures):

@@ -140,6 +140,7 @@ def test_a_sky_without_texture_is_not_where_the_window_is():
     assert trees.sum() > 500 and wall.sum() > 2000
 
 
+@pytest.mark.long
 def test_frames_of_a_video_are_compared_with_frames_that_show_parallax():
     """The six frames beside one are 0.06 away at most: points by them are off by two pixels of the others."""
     along = np.linspace(-0.6, 0.6, 60)

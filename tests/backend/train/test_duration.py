@@ -143,7 +143,7 @@ def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, t
     assert len(ends[0]) == len(ends[1]) and all(map(torch.equal, *ends))
 
 
-@pytest.mark.parametrize("preset", ["default", "hdr-nerf-small"])
+@pytest.mark.parametrize("preset", ["default", pytest.param("hdr-nerf-small", marks=pytest.mark.long)])
 def test_the_copy_is_gone_when_the_training_begins(preset, tiny_data, monkeypatch):
     monkeypatch.setattr(duration, "SHARE", math.inf)
     copies, copy = [], duration._copy

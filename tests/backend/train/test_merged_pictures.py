@@ -51,6 +51,7 @@ def test_one_exposure_a_view_is_no_bracket(noisy):
     assert begun(noisy, exposure_mode="exp1").data.merged is None
 
 
+@pytest.mark.long
 def test_pictures_are_nearer_to_those_without_noise(tiny_data, noisy):
     taken, merged, clean = (
         begun(noisy, merged_brackets="off"),

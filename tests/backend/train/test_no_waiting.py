@@ -109,7 +109,8 @@ def trainer_elsewhere(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("preset", "data"), [*((p, "tiny_data") for p in OURS), ("default", "two_lights_data")]
+    ("preset", "data"),
+    [*((p, "tiny_data") for p in OURS), pytest.param("default", "two_lights_data", marks=pytest.mark.long)],
 )
 def test_a_step_neither_waits_nor_copies(preset, data, request, trainer_elsewhere):
     state = trainer_elsewhere(preset, request.getfixturevalue(data))

@@ -78,7 +78,10 @@ def trained(scene, config):
     return state, torch.cat([p.detach().flatten() for group in groups.values() for p in group])
 
 
-@pytest.mark.parametrize("preset", CASES)
+@pytest.mark.parametrize(
+    "preset",
+    [pytest.param(name, marks=[pytest.mark.long] * (name == "default-scaffold")) for name in CASES],
+)
 def test_what_is_not_read_is_named_and_changes_nothing(preset, tiny_data):
     scene = read_scene(tiny_data)
     whole = PRESETS[preset]

@@ -34,7 +34,13 @@ DATA = {
 }
 
 
-@pytest.mark.parametrize(("write", "found"), DATA.values(), ids=DATA)
+@pytest.mark.parametrize(
+    ("write", "found"),
+    [
+        pytest.param(*case, id=name, marks=[pytest.mark.long] * (name != "photographs"))
+        for name, case in DATA.items()
+    ],
+)
 def test_a_run_is_expected_to_be_what_is_trained(write, found, tmp_path):
     root = write(tmp_path / "data")
     content = {"methods": METHODS, "scenes": [str(root)], "budgets": ["iterations=1"], "settings": ["exp1"]}

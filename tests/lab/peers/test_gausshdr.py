@@ -172,6 +172,7 @@ def test_the_sum_of_the_losses_in_float64(camera):
     assert (watched - watched_reference).norm() < 2e-3 * watched_reference.norm()
 
 
+@pytest.mark.long
 def test_only_the_likelihood_teaches_the_uncertainty(camera):
     method = make()
     picture = torch.rand(3, 20, 24)

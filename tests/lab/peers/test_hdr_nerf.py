@@ -379,6 +379,7 @@ def test_without_a_known_response_the_unit_is_a_half_and_photographs_have_noise(
     assert noise.std().item() == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.long
 def test_the_warm_start_reaches_its_target():
     torch.manual_seed(0)
     method = HDRNeRF(HDRNeRFConfig(field=TINY.field), MethodSetup(ANCHOR))  # 500 steps, 128 hidden
