@@ -196,13 +196,13 @@ class Photos(PhotoOptions, Preparing):
         stages = Stages(expected, reporter.progress)
         understood, qualities = _rated(understood, stages, reporter)
         brackets = understood.brackets
-        _groups_left_out(range(len(brackets.poses)), understood, self.partial)
+        self._groups_left_out(range(len(brackets.poses)), understood)
         structure, words = self._structure(understood, qualities, folder, stages, reporter)
         borrowed: dict[int, int] = {}
         if self.borrow_poses and understood.is_handheld:
             structure, borrowed = _borrowed(structure, understood)
         _require_enough(structure, understood, self.partial)
-        dark = _groups_left_out(structure.registered, understood, self.partial)
+        dark = self._groups_left_out(structure.registered, understood)
         up = up_direction([pose.rotation for pose in structure.registered.values()])
         structure = structure.turned(rotation_to_z(up))
         lenses = self._lenses(structure)
@@ -245,7 +245,7 @@ class Photos(PhotoOptions, Preparing):
                 f"{len(borrowed)} photos took the pose of the next in their bracket: {some_names(names)}"
             )
         for group in dark:
-            reporter.warn(f"ignoring '{group}': none of its photos could be placed. {LIGHT_REMEDY}")
+            reporter.warn(f"ignoring '{group}': none of its photos could be placed. {self._light_remedy}")
         if left_out:
             reporter.warn(f"ignoring photos that could not be placed: {some_names(left_out)}")
             if understood.is_handheld and not self.borrow_poses:
@@ -260,6 +260,25 @@ class Photos(PhotoOptions, Preparing):
             "lines": reporter.lines,
             "warnings": reporter.warnings,
         }
+
+    def _groups_left_out(self, placed_poses: Iterable[int], understood: Understanding) -> list[str]:
+        """The groups under other light of which no photo was placed; raises ``StructureError`` if all are."""
+        poses = understood.brackets.poses
+        groups = [group.name for group in understood.lights.groups] if understood.lights is not None else []
+        placed = {poses[number].group for number in placed_poses}
+        left_out = [group for group in groups if group not in placed]
+        if groups and left_out == groups and not self.partial:
+            raise StructureError(
+                f"no photo under other light could be placed: {some_names(left_out)}",
+                f"{self._light_remedy} --partial continues with the standard light alone.",
+            )
+        return left_out
+
+    @property
+    def _light_remedy(self) -> str:
+        if self.poses is None:
+            return LIGHT_REMEDY
+        return f"The reconstruction in {self.poses} must have them, by their file names."
 
     def _lenses(self, structure: Structure) -> dict[int, Lens]:
         """A pinhole camera for each of the structure's, at the requested size."""
@@ -397,20 +416,6 @@ def _require_enough(structure: Structure, understood: Understanding, partial: bo
             f"only {placed} of {all_poses} poses could be placed; not {some_names(left_out)}",
             CAPTURE_REMEDY + " --partial continues with those that were placed.",
         )
-
-
-def _groups_left_out(placed_poses: Iterable[int], understood: Understanding, partial: bool) -> list[str]:
-    """The groups under other light of which no photo was placed; raises ``StructureError`` if all are."""
-    poses = understood.brackets.poses
-    groups = [group.name for group in understood.lights.groups] if understood.lights is not None else []
-    placed = {poses[number].group for number in placed_poses}
-    left_out = [group for group in groups if group not in placed]
-    if groups and left_out == groups and not partial:
-        raise StructureError(
-            f"no photo under other light could be placed: {some_names(left_out)}",
-            f"{LIGHT_REMEDY} --partial continues with the standard light alone.",
-        )
-    return left_out
 
 
 def _encoding(understood: Understanding) -> dict[str, Any]:

@@ -118,12 +118,13 @@ def _take(given: argparse.Namespace) -> None:
             if not path.exists():
                 radiance = passes.radiance(photo.levels)
                 folder.write(path, _encoded(given, photo, radiance, response, capture, model))
-        standard = [photo for photo in taken if photo.folder == photos.STANDARD]
-        middle = standard[len(standard) // 2]
-        ideal = photos.developed(_ideal(middle), passes.radiance(middle.levels), response)
-        count = true_model.POINTS // len(places)
-        points = true_model.visible_points(place, passes, ideal, capture.lens, count, given.seed)
-        views.append((f"{middle.name}{suffix}", place, points))
+        for group in dict.fromkeys(photo.folder for photo in taken):
+            bracket = [photo for photo in taken if photo.folder == group]
+            middle = bracket[len(bracket) // 2]
+            ideal = photos.developed(_ideal(middle), passes.radiance(middle.levels), response)
+            count = true_model.POINTS // sum(len(chosen) for _, chosen in rounds)
+            points = true_model.visible_points(place, passes, ideal, capture.lens, count, given.seed)
+            views.append((f"{middle.name}{suffix}", place, points))
         print(f"{place.name}: {', '.join(photo.name for photo in taken)}", flush=True)
     true_model.write(given.out / "truth", capture.lens, views)
     names = {photo: f"{photo.folder}/{photo.name}{suffix}" for photo in planned}

@@ -160,6 +160,8 @@ def test_photos_of_a_group_are_under_its_light_and_metered_there(capture, tmp_pa
             assert code[inside].mean((0, 1)) == pytest.approx(ideal[inside].mean((0, 1)), abs=2.5)
         standard = next(p for p in told if p["place"] == photo["place"] and p["folder"] == "photos")
         assert photo["exposure"] > standard["exposure"]  # the camera sees that it is darker
+    placed = (tmp_path / "out" / "truth" / "sparse" / "0" / "images.txt").read_text()
+    assert all(photo["file"] in placed for photo in told)  # one exposure a place: each is the middle one
     frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
     assert [frame.get("lighting_levels") for frame in frames][-4:] == [None, *[{"pendant": 0.0}] * 3]
 

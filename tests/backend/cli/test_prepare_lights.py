@@ -297,6 +297,9 @@ def test_if_no_light_can_be_placed_it_says_so(tmp_path, monkeypatch):
     found = structure.Structure({1: camera}, dict.fromkeys(range(3), pose), nothing, nothing, nothing[:, 0])
     monkeypatch.setattr("physhdr.backend.cli.photos.recover", lambda *_: found)
     assert "no photo under other light could be placed: pendant off" in refused(photos, tmp_path / "out")
+    monkeypatch.setattr("physhdr.backend.cli.photos.existing", lambda *_: found)
+    message = refused(photos, tmp_path / "out", "--poses", tmp_path)
+    assert f"The reconstruction in {tmp_path} must have them" in message and "texture" not in message
 
 
 def test_many_photos_are_matched_within_a_light_and_with_the_standard_one():
