@@ -38,10 +38,10 @@ ENVIRONMENTS = {"backend": {"OMP_NUM_THREADS": "1"}}
 LANES: tuple[dict[str, tuple], ...] = (
     {
         "kernels": (BACKEND / "physhdr", "check"),
-        "lint": (BACKEND / "python", "tools/lint.py", "--quick"),
         "backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend", "tests/lab"),
     },
     {
+        "lint": (BACKEND / "python", "tools/lint.py", "--quick"),
         "blender": (*IN_BLENDER, "-m", "not long", "tests/synth", "tests/addon"),
         "loop": (*PYTEST, "-m", "not long", "tests/loop", "tests/test_docs.py"),
     },

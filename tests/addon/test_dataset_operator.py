@@ -48,7 +48,8 @@ SMALL = {
 
 @pytest.fixture
 def room(extension):
-    """A floor, a sun, a lamp and a camera, never saved."""
+    """A floor, a sun, a lamp and a camera, never saved; no copy of an earlier file is left."""
+    dataset._remove_copies()
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = 200, 100
     floor = bpy.data.meshes.new("floor")

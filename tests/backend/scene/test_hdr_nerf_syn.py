@@ -48,7 +48,7 @@ def test_a_data_set_is_read_whole(data_set: Path, small: ModuleType) -> None:
     scene = read_scene(data_set)
     assert [view.index for view in scene.train] == [0, 2, 4]
     assert [view.index for view in scene.test] == [1, 3]
-    assert [view.lighting_level for view in scene.lit] == [0.25, 4.0]
+    assert [view.lighting_levels for view in scene.lit] == [(0.25,), (4.0,)]
     assert scene.name == "small"
     assert scene.response_anchor == pytest.approx((1.0, 0.7297), abs=1e-4)
     view = scene.find("train", 2)
@@ -193,7 +193,6 @@ def test_two_lights(data_set: Path) -> None:
     scene = read_scene(data_set)
     assert scene.lights == ("ambient", "pendant")
     assert [view.lighting_levels for view in scene.lit] == [(0.25, 2.0), (4.0, 1.0)]
-    assert [view.lighting_level for view in scene.lit] == [0.25, 4.0]
     assert all(view.lighting_levels == (1.0, 1.0) for view in [*scene.train, *scene.test])
     assert scene.train[0].is_standard and not scene.lit[1].is_standard
 

@@ -333,7 +333,7 @@ def test_absurd_levels(data_set: Path, level: float) -> None:
     edited(data_set / "transforms_lit.json", lambda c: c["frames"][1].update(lighting_level=level))
     refused(data_set, "frame 1 ('lit/r_1'): the lighting level of 'ambient' is", "0, or from 1e-06 to 1e+06")
     (data_set / "relit" / "level_4").rename(data_set / "relit" / f"level_{level:g}")
-    with pytest.raises(BadValueError, match=rf"level_{level:g}: its lighting level is".replace("+", r"\+")):
+    with pytest.raises(BadValueError, match=rf"level_{level:g}: the level of ambient is".replace("+", r"\+")):
         relit_truth(data_set)
     levels = {"folder": f"relit/level_{level:g}", "levels": {"ambient": level}}
     edited(data_set / "dataset.json", lambda c: c.update(relit=[levels]))

@@ -34,6 +34,7 @@ def test_each_file_is_a_split_and_numbers_are_those_of_names(lego: Path) -> None
         "test": ["test/r_1", "test/r_3"],
         "lit": [],
         "val": ["val/r_5"],
+        "lit_test": [],
     }
     assert scene.find("test", 3).name == "test/r_3"
     assert scene.messages[0] == (

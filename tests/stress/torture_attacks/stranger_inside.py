@@ -173,6 +173,8 @@ def draw_all() -> None:
                 drawn: Any = SimpleNamespace(layout=Anything())
                 for name, method in inspect.getmembers(panel, inspect.isfunction):
                     setattr(drawn, name, method.__get__(drawn))
+                for name, text in inspect.getmembers(panel, lambda member: isinstance(member, str)):
+                    setattr(drawn, name, text)
                 panel.draw(drawn, bpy.context)
         operators: Any = getattr(bpy.ops, "physhdr")  # noqa: B009
         for name in dir(operators):
