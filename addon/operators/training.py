@@ -22,6 +22,7 @@ from ...bridge.messages import (
 )
 from ...bridge.run_folder import MODEL_FILE
 from .. import settings
+from ..capture import startup_cube
 from ..capture.dataset_cameras import first_place
 from ..chosen_run import proposed_run
 from ..model.look import is_model
@@ -417,6 +418,10 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         chosen = context.scene.physhdr
         if context.scene.is_editable:
             chosen.preview = False  # the object shows itself
+            if cube := startup_cube.hide(context.scene):
+                self.report(
+                    {"INFO"}, f"{cube}, as Blender starts with it, is hidden: it stands in the capture"
+                )
         self._look(context)
         return {"FINISHED"}
 
