@@ -27,7 +27,7 @@ def is_untouched(cube: bpy.types.Object) -> bool:
     return (
         isinstance(mesh, bpy.types.Mesh)
         and len(mesh.vertices) == CORNERS
-        and tuple(cube.dimensions) == (SIZE, SIZE, SIZE)
+        and all(cube.dimensions[axis] == SIZE for axis in range(3))
         and cube.matrix_world.is_identity
         and not (cube.modifiers or cube.constraints or cube.children or cube.animation_data)
         and cube.library is None
