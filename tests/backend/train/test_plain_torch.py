@@ -65,7 +65,7 @@ def mean_psnr(state):
     for view in state.plan.seen.scene.test:
         for k, exposure in enumerate(view.exposures):
             picture = torch.tensor(view.image(k)).permute(2, 0, 1) / 255.0
-            found.append(psnr(state.method.ldr(view.camera, exposure, view.lighting_level), picture))
+            found.append(psnr(state.method.ldr(view.camera, exposure), picture))
     return sum(found) / len(found)
 
 
