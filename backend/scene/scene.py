@@ -218,10 +218,10 @@ class Points:
 class Scene:
     """A data set that is ready for training: nothing in it leads to the true radiance.
 
-    ``lit``: extra training views under other light; ``lit_test``: such views that are never trained from, of
-    captures. ``lights``: names of the lights whose levels differ
-    there, in the order of every view's ``lighting_levels``. ``response_anchor``: one known point of the
-    camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
+    ``lit``: extra training views under other light; ``lit_test``: such views of captures that are never
+    trained from. ``lights``: names of the lights whose levels differ there, in the order of every view's
+    ``lighting_levels``. ``response_anchor``: one known point of the camera's response, (exposure × radiance,
+    code value in 0…1), or None where the data name none.
     ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
     what the reader decided, in sentences (split, size, origin of exposures).
     ``validation``: views that choices are made on, at poses of their own, never trained from; only our own
