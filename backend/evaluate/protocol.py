@@ -361,6 +361,9 @@ def _relit_row(
     factor = changed[0] if len(changed) == 1 and changed[0] > 0.0 else best_factor
 
     shown, normaliser = hdr_shown(relit, height, width)
+    left = None
+    if changed == [0.0]:
+        left = _light_left(ours, averaged_to(relit, height, width), truth_standard, mask)
 
     def score(prediction: torch.Tensor) -> float:
         return Pair(quantise(display(prediction, normaliser)), shown, mask).psnr()
@@ -377,7 +380,26 @@ def _relit_row(
         best_scaled_truth=scaled_truth if factor == best_factor else score(best_factor * truth_standard),
         factor=factor,
         best_factor=best_factor,
+        light_left=left,
     )
+
+
+def _light_left(
+    ours: torch.Tensor, off: torch.Tensor, on: torch.Tensor, mask: torch.Tensor | None
+) -> float | None:
+    """How much of a light that is off remains in ``ours``, as a share of it; negative: too much was taken.
+
+    ``off``, ``on``: true radiance without it and with it, ``[3, H, W]``. The median over the values at least
+    half of which are that light's (elsewhere errors of other light would be divided by next to nothing);
+    None where there are none.
+    """
+    light = on - off
+    counted = (light >= 0.5 * on) & (on > 0.0)
+    if mask is not None:
+        counted &= mask
+    if not counted.any():
+        return None
+    return float(((ours - off)[counted] / light[counted]).median())
 
 
 def lpips_from(path: Path | str | None) -> Lpips | None:

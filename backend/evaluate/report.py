@@ -25,7 +25,7 @@ NONE = "–"
 #: Columns of the table of views: (heading, metric, digits) for each of OE, NE and HDR.
 VIEW_METRICS = (("PSNR", "psnr", 2), ("SSIM", "ssim", 4), ("LPIPS 01", "lpips_01", 4))
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
-RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain")
+RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain", "light left")
 
 LIT_COLUMNS = ("photos", "relit", "scaled photo", "scaled ours", "gain")
 
@@ -114,7 +114,7 @@ def to_csv(evaluation: Evaluation) -> str:
     columns = ["part", "view", "index", "exposure_index", "exposure", "light", "normaliser", "scale_ratio"]
     columns += ["slope"]
     columns += ["psnr", "ssim", "lpips", "lpips_01", "psnr_scaled_truth", "psnr_scaled_ours"]
-    columns += ["psnr_best_scaled_truth", "factor", "best_factor", "psnr_scaled_photo"]
+    columns += ["psnr_best_scaled_truth", "factor", "best_factor", "light_left", "psnr_scaled_photo"]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
     writer.writeheader()
@@ -264,7 +264,7 @@ def _lit_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
     ]
 
 
-def _relit_dict(means: RelitMeans) -> dict[str, float]:
+def _relit_dict(means: RelitMeans) -> dict[str, float | None]:
     return dataclasses.asdict(means) | {
         "gain_over_scaled_truth": means.gain_over_scaled_truth,
         "gain_over_scaled_ours": means.gain_over_scaled_ours,
@@ -313,6 +313,7 @@ def _relit_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
             _cell(means.best_scaled_truth, 2),
             _cell(means.scaled_ours, 2),
             f"{means.gain_over_scaled_truth:+.2f}",
+            NONE if means.light_left is None else f"{means.light_left:+.1%}",
         )
         for label, means in _relit_means(evaluation)
         if means is not None
@@ -341,8 +342,9 @@ def _markdown_table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> st
 def _rich_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for i, column in enumerate(columns):
-        # Names may be as long as 'ambient 4 + pendant 0.25': on a narrow terminal they take two lines.
-        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i > 0)
+        # On a narrow terminal, headings and names such as 'ambient 4 + pendant 0.25' wrap; numbers do not.
+        width = max((len(row[i]) for row in rows), default=0) if i else None
+        table.add_column(column, justify="right" if i else "left", min_width=width)
     for row in rows:
         table.add_row(*row)
     return table

@@ -64,7 +64,9 @@ class RelitRow:
     ``levels``: of the changed lights, by name. ``scaled_truth`` is for ``factor`` × the true radiance under
     the standard light, ``scaled_ours`` for ``factor`` × ours. ``factor``: the level if a single light is
     changed (and not off), else ``best_factor``, the median of relit truth / true radiance;
-    ``best_scaled_truth`` is for that × the true radiance: as good as scaling can be.
+    ``best_scaled_truth`` is for that × the true radiance: as good as scaling can be. ``light_left``: where a
+    single light is off, how much of it remains in ours, as a share of it; None elsewhere, or where it shows
+    nowhere.
     """
 
     levels: dict[str, float]
@@ -78,6 +80,7 @@ class RelitRow:
     best_scaled_truth: float
     factor: float
     best_factor: float
+    light_left: float | None = None
 
     @property
     def condition(self) -> str:
@@ -159,12 +162,13 @@ class ViewMeans:
 
 @dataclass(frozen=True)
 class RelitMeans:
-    """Means in dB over the views of one condition, or over everything."""
+    """Means in dB over the views of one condition, or over everything; ``light_left`` where it is known."""
 
     ours: float
     scaled_truth: float
     scaled_ours: float
     best_scaled_truth: float
+    light_left: float | None = None
 
     @property
     def gain_over_scaled_truth(self) -> float:
@@ -340,11 +344,13 @@ class Evaluation:
         rows = [row for row in self.relit if condition is None or row.condition == condition]
         if not rows:
             return None
+        left = [row.light_left for row in rows if row.light_left is not None]
         return RelitMeans(
             _mean([row.ours for row in rows]),
             _mean([row.scaled_truth for row in rows]),
             _mean([row.scaled_ours for row in rows]),
             _mean([row.best_scaled_truth for row in rows]),
+            _mean(left) if left else None,
         )
 
 

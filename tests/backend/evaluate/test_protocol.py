@@ -209,6 +209,22 @@ def test_a_renderer_that_only_scales_gains_nothing(data_set: Path, small: Module
     assert mean.gain_over_scaled_ours == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("left", [0.0, 0.03])
+def test_what_remains_of_a_light_that_is_off(data_set: Path, small: ModuleType, left: float) -> None:
+    list_relit(data_set, small, [{"lamp": 0.0}, {"lamp": 4.0}])
+
+    class Leaks(Oracle):
+        def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+            levels = as_levels(lighting_level, self.lights)
+            return super().hdr(camera, tuple(max(level, left) for level in levels))
+
+    result = evaluate(Leaks(small, lights=("ambient", "lamp")), read_scene(data_set))
+    means = [result.relit_mean(condition) for condition in ("lamp 0", "lamp 4")]
+    assert means[0] is not None and means[0].light_left == pytest.approx(left, abs=1e-4)
+    assert means[1] is not None and means[1].light_left is None
+    assert f"| {left:+.1%} |" in to_markdown(result)
+
+
 def list_relit(root: Path, small: ModuleType, conditions: list[dict[str, float]], poses=(1, 3)) -> None:
     """Relit truth of both test views, listed in ``dataset.json`` as data sets with several lights do."""
     shutil.rmtree(root / "relit")
