@@ -85,10 +85,6 @@ def _measured(cloud: bpy.types.PointCloud) -> tuple[float, ...]:
 class PHYSHDR_PT_cleaning(ModelSubpanel, bpy.types.Panel):
     bl_label = "Clean"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return is_model(context.object)
-
     def draw(self, context: bpy.types.Context) -> None:
         layout, target = layout_of(self), context.object
         assert is_model(target)

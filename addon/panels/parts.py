@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 import blf
 import bpy
 
+from ..model.look import is_model
 from ..operators.base import choices
 from ..session.advice import why_not
 from ..session.state import Made, Problem, State
@@ -35,6 +36,10 @@ class SidebarPanel:
 class ModelSubpanel(SidebarPanel):
     bl_parent_id = "PHYSHDR_PT_model"
     bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return is_model(context.object)
 
 
 def draw_problem(context: bpy.types.Context, layout: bpy.types.UILayout, problem: Problem) -> None:

@@ -12,10 +12,6 @@ from .parts import ICON, ModelSubpanel, write
 class PHYSHDR_PT_scale(ModelSubpanel, bpy.types.Panel):
     bl_label = "Scale and Ground"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return is_model(context.object)
-
     def draw(self, context: bpy.types.Context) -> None:
         layout, target = layout_of(self), context.object
         assert is_model(target)

@@ -31,9 +31,10 @@ import numpy as np
 
 from ...bridge.errors import DataMismatchError
 from ..model.tone_curve import ToneCurve
-from . import gpu_arrays, overlay_shader, seen
+from . import gpu_arrays, overlay_shader
 from .camera import OPENGL_TO_OPENCV, ViewCamera, between, has_jumped, of_region
 from .overlay_shader import Flag
+from .seen import texels
 
 #: Every so many pixels of a picture are asked for its typical depth.
 _DEPTH_STRIDE = 8
@@ -87,6 +88,13 @@ class Layer:
     #: nothing is.
     frustums: np.ndarray | None = None
 
+    @cached_property
+    def seen(self) -> gpu.types.GPUTexture | None:
+        """``frustums`` as the shader has them: uploaded once for both passes of a redraw."""
+        if self.frustums is None:
+            return None
+        return gpu_arrays.texture(texels(self.frustums, self.camera), "RGBA32F")
+
 
 #: Gives the layers of a region, the farthest first; called while it is drawn.
 Source = Callable[[bpy.types.Context, ViewCamera], Iterable[Layer]]
@@ -124,8 +132,6 @@ class Compositor:
         self._curves: dict[bytes, tuple[gpu.types.GPUTexture, float, float]] = {}
         blank = np.zeros((1, 1, 4), np.float32)
         self._no_curve = (gpu_arrays.texture(blank, "RGBA32F"), 0.0, 1.0)
-        #: Of the layer last drawn: a sampler does not keep its texture.
-        self._frustums = self._no_curve[0]
 
     def draw(self, layer: Layer, view: ViewCamera, window_matrix: np.ndarray, *, erase: bool = False) -> None:
         """Draw over what is there, where the depth buffer allows it.
@@ -136,8 +142,6 @@ class Compositor:
         shader, source = self._shader, layer.camera
         texture, start, step = self._curve(layer.tone)
         picture_to_clip = window_matrix @ OPENGL_TO_OPENCV @ between(source, view)
-        if layer.frustums is not None:
-            self._frustums = gpu_arrays.texture(seen.texels(layer.frustums, source), "RGBA32F")
         layer.colour.filter_mode(True)
         shader.bind()
         gpu_arrays.set_matrix(shader, "picture_to_clip", picture_to_clip)
@@ -148,7 +152,7 @@ class Compositor:
         shader.uniform_sampler("picture", layer.colour)
         shader.uniform_sampler("picture_depth", layer.depth)
         shader.uniform_sampler("tone_curve", texture)
-        shader.uniform_sampler("frustums", self._frustums)
+        shader.uniform_sampler("frustums", layer.seen or self._no_curve[0])
         gpu.state.blend_set("MULTIPLY" if erase else "ALPHA_PREMULT")
         gpu.state.depth_test_set("LESS_EQUAL")
         gpu.state.depth_mask_set(False)
