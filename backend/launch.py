@@ -24,31 +24,18 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(HERE)
 
 
-def _cache_folder():
-    if os.name == "nt":
-        base = os.environ.get("LOCALAPPDATA") or os.path.expanduser("~")
-    elif sys.platform == "darwin":
-        base = os.path.expanduser("~/Library/Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return os.path.join(base, "physhdr")
-
-
 def _bootstrap():
     """Make ``ROOT`` the package ``physhdr``, and let nothing be written into it.
 
     At the module's level, for the processes that compile kernels: they import this file by its path.
     """
-    # Compiled kernels go where the caller says, else into the user's cache folder. Bytecode is not written
-    # unless the caller says where: a prefix would also hide what pip compiled of torch (seconds), and ours is
-    # compiled in a moment. In the environment, for processes that are started from here.
-    # A module of ours in a process of its own has all that from whoever started it; nobody who has installed
-    # the package has set it.
-    if sys.argv[1:2] != [MODULE]:
-        os.environ.setdefault("NUMBA_CACHE_DIR", os.path.join(_cache_folder(), "numba"))
-        if not sys.pycache_prefix:
-            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-            sys.dont_write_bytecode = True
+    # Bytecode is not written unless the caller says where: a prefix would also hide what pip compiled of
+    # torch (seconds), and ours is compiled in a moment. In the environment, for processes that are started
+    # from here. A module of ours in a process of its own has that from whoever started it; nobody who has
+    # installed the package has set it.
+    if sys.argv[1:2] != [MODULE] and not sys.pycache_prefix:
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+        sys.dont_write_bytecode = True
     # Python puts a script's own folder first: there, "export" or "train" would be ours for everybody.
     sys.path[:] = [path for path in sys.path if os.path.abspath(path or ".") != HERE]
     spec = importlib.util.spec_from_file_location(

@@ -52,8 +52,6 @@ HOME = Path("/home/artist")
 KERNELS = Path("blender/extensions/.user/user_default/physhdr/backend/cache")
 #: A variable that all processes of a test inherit: which run of this program began them.
 ROOM_MARK = "PHYSHDR_GUI_TEST"
-#: Of the extension: whose functions are compiled.
-COMPILED = ("backend/kernels/", "backend/rasterize/", "backend/simd/")
 #: Of the demo's run: what tests open, import and evaluate.
 OF_RUN = ("config.json", "views.json", "checkpoint.safetensors", "model.safetensors", "log.jsonl")
 #: Seconds for the first answer of the mirror.
@@ -237,16 +235,11 @@ def furnish(extension: Path | None = None) -> Room:
     )
     with zipfile.ZipFile(newest) as archive:
         code = {name: archive.read(name) for name in sorted(archive.namelist()) if not name.endswith("/")}
-    kernels = digest(site, [name for name in code if name.startswith(COMPILED)], code)
     version = (CHROOT / "var" / "lib" / "dpkg" / "status").read_text(encoding="utf-8")
     blender = re.search(r"^Package: blender\n(?:.+\n)*?Version: (.+)$", version, re.MULTILINE)
     scripts = {name: (TESTS / name).read_bytes() for name in ("prepare.py",)}
     key = digest([blender[1] if blender else "", *site], [*code, *scripts], code | scripts)
-    caches = OUT / ".kernels"
-    for old in caches.glob("*"):  # of other code: they would only grow
-        if old.name != kernels:
-            shutil.rmtree(old)
-    room = Room(newest, Path(base.strip()), caches / kernels, OUT / ".shaders", OUT / ".template")
+    room = Room(newest, Path(base.strip()), OUT / ".kernels", OUT / ".shaders", OUT / ".template")
     for folder in (room.kernels, room.shaders):
         folder.mkdir(parents=True, exist_ok=True)
     known = room.template / "key.txt"

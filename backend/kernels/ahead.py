@@ -16,7 +16,7 @@ import torch
 from ...bridge.cores import usable_cores
 from ..rasterize import rasterize
 from ..scene.camera import Camera
-from ..simd.compiling import kept_on_disk
+from ..simd.compiling import cached_files
 from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
 from .activations import lit_colours
 from .bracket import bracket_errors
@@ -64,7 +64,7 @@ def compile_ahead(needs: Needs, report: Callable[[str, int, int], None] | None =
     """
     jobs = _jobs(needs)
     cores = usable_cores()
-    if kept_on_disk(_ssim_rows) == [] and cores > 1:
+    if cached_files(_ssim_rows) == [] and cores > 1:
         context = multiprocessing.get_context("spawn")
         # One dies where memory is too little for all of them to load torch.
         with suppress(BrokenProcessPool), ProcessPoolExecutor(min(cores, len(jobs)), context) as pool:
@@ -105,7 +105,7 @@ def _union(some: tuple[T, ...], others: tuple[T, ...]) -> tuple[T, ...]:
 
 def are_cached() -> bool:
     """Whether the disk has anything of ours, so that there is little or nothing to compile."""
-    return bool(kept_on_disk(_ssim_rows))
+    return bool(cached_files(_ssim_rows))
 
 
 def _rasterise(channels: Iterable[int]) -> None:

@@ -13,7 +13,6 @@ import logging
 import os
 import re
 import shutil
-import sys
 import zipfile
 from collections.abc import Iterable
 from contextlib import suppress
@@ -26,6 +25,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import OutputError, PhysHDRError
 from ...bridge.limits import MAX_PIXELS
 from ...bridge.regular import regular_file, resolved
+from ...bridge.user_cache import user_cache
 from .source import Decoded, PictureSource
 
 log = logging.getLogger(__name__)
@@ -184,14 +184,3 @@ def _fault(folder: Path, needed: int) -> str | None:
         return error.strerror or str(error)
     missing = needed - held
     return f"the disk has {free / 1e6:,.0f} MB left" if missing > 0 and free < missing + SPARE_BYTES else None
-
-
-def user_cache() -> Path:
-    """The folder in which programs of this system cache what they can make again, with our name."""
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or os.path.expanduser("~")
-    elif sys.platform == "darwin":
-        base = os.path.expanduser("~/Library/Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(base) / "physhdr"

@@ -1,31 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How kernels are compiled and kept on disk.
+"""How kernels are compiled and cached on disk.
 
 Numba's own cache looks at the file of the cached function only, so a kernel would outlive a change of what it
 calls (``simd``) or of a constant that it took from elsewhere. And its index of a function's files is read and
 written without a lock, before what it names: of two processes that compile at once, or of one that is killed
-or finds the disk full, it may name a file that has other code. Here there is no index. A file's name says of
+or finds the disk full, it may name a file that has other code. Here there is no index. A file's path says of
 which sources and for which arguments it is, so that nothing else can be found under it, and it is there whole
-or not at all.
+or not at all. Copies of the same sources share their kernels, wherever they are installed.
 """
 
 import functools
 import hashlib
-import os
+import inspect
 import pickle
+import shutil
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core import config
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.serialize import dumps
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import OutputError
+from ...bridge.user_cache import user_cache
 
 _HERE = Path(__file__).parent
 _BACKEND = _HERE.parent
@@ -41,25 +44,27 @@ SOURCES = (
     _BRIDGE / "splatting.py",
     _BRIDGE / "spherical_harmonics.py",
 )
+#: How many folders of other sources stay beside one that is new: of other versions, or of other copies.
+OTHERS_KEPT = 4
 #: Bytes of the check sum that a file begins with.
 _DIGEST = hashlib.sha256().digest_size
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile for several threads (without Python's lock), keep the result on disk, divide as numpy does.
+    """Compile for several threads (without Python's lock), cache the result on disk, divide as numpy does.
 
-    Where no folder can be written nothing is kept, with a warning.
+    Where the folder cannot be written nothing is cached, with a warning.
     """
     compiled: Any = njit(nogil=True, error_model="numpy")(function)
     try:
         compiled._cache = _Cache(function)
-    except RuntimeError:  # Numba finds no folder that can be written
+    except RuntimeError:  # the folder cannot be written
         _warn()
     return compiled
 
 
-def kept_on_disk(compiled: Any) -> list[Path] | None:
-    """The files that have what was compiled of a kernel's sources as they are; None: nothing can be kept."""
+def cached_files(compiled: Any) -> list[Path] | None:
+    """The files of what was compiled from a kernel's sources as they are; None: nothing can be cached."""
     cache = compiled._cache
     return list(cache.files.ours()) if isinstance(cache, _Cache) else None
 
@@ -69,12 +74,55 @@ def source_files() -> list[Path]:
     return [f for source in SOURCES for f in (sorted(source.glob("*.py")) if source.is_dir() else [source])]
 
 
+def _cache_root() -> Path:
+    """Has a folder for each state of the sources."""
+    return Path(config.CACHE_DIR or user_cache() / "kernels")
+
+
+class _Locator(UserProvidedCacheLocator):
+    """The folder of the sources as they are, made where it is missing."""
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        self._cache_path = str(_cache_root() / _fingerprint()[:16])
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
+        located = cls(py_func, py_file)
+        new = not Path(located.get_cache_path()).exists()
+        try:
+            located.ensure_cache_path()
+        except OSError:
+            return None
+        if new:
+            _remove_oldest(Path(located.get_cache_path()))
+        return located
+
+
+def _remove_oldest(new: Path) -> None:
+    """Of the folders beside the new one only ``OTHERS_KEPT`` stay: those that last changed."""
+    others = [folder for folder in new.parent.glob("[0-9a-f]" * 16) if folder != new]
+    with suppress(OSError):  # another process was faster
+        others.sort(key=lambda folder: folder.stat().st_mtime)
+    for folder in others[:-OTHERS_KEPT]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+class _Implementation(CompileResultCacheImpl):
+    _locator_classes: ClassVar[list[type]] = [_Locator]
+
+
 class _Cache(FunctionCache):
-    """Numba's cache of a function, in our files. Raises ``RuntimeError`` where no folder can be written."""
+    """Numba's cache of a function, in our files. Raises ``RuntimeError`` where they cannot be written."""
+
+    _impl_class = _Implementation
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self.files = _Files(Path(self._cache_path), self._impl.filename_base)
+        # Numba names the last part of the module alone, and several folders have a module of that name.
+        name = f"{function.__module__}.{self._impl.filename_base.partition('.')[2]}"
+        base = f"{name}.{_digest_of(inspect.getfile(function))[:8]}"
+        self.files = _Files(Path(self._cache_path), base)
         self._cache_file: Any = self.files
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -88,18 +136,16 @@ class _Cache(FunctionCache):
 class _Files:
     """What was compiled of a kernel, a file for each kind of processor and types of arguments (a ``key``).
 
-    ``base``: Numba's name of the function, ``module.function-line.python``.
+    ``folder``: of the sources as they are. ``base``: the function and the file that has it, which need not be
+    one of the sources, ``module.function-line.python.digest``.
     """
 
     def __init__(self, folder: Path, base: str) -> None:
         self._folder = folder
-        self._base = f"{base}.{_fingerprint()[:16]}"
-        # In other sources the function may stand in another line; and there are files of Numba's own cache.
-        name, python = base.rpartition("-")[0], base.rpartition(".")[2]
-        self._of_any_sources = f"{name}-*.{python}.*"
+        self._base = base
 
     def ours(self) -> Iterator[Path]:
-        """Those of the sources as they are."""
+        """All that there are."""
         return self._folder.glob(f"{self._base}.*.nbc")
 
     def load(self, key: object) -> Any:
@@ -108,28 +154,30 @@ class _Files:
             content = self._path(key).read_bytes()
         except OSError:
             return None
-        told, packed = content[:_DIGEST], content[_DIGEST:]
-        if hashlib.sha256(packed).digest() != told:  # a computer that lost power may leave an empty file
+        digest, packed = content[:_DIGEST], content[_DIGEST:]
+        if hashlib.sha256(packed).digest() != digest:  # a computer that lost power may leave an empty file
             return None
         saved, data = pickle.loads(packed)
         return data if saved == key else None
 
     def save(self, key: object, data: object) -> None:
-        """Raises ``OutputError``. What was compiled from other sources goes."""
+        """Raises ``OutputError``."""
         with atomic_path(self._path(key), sync_name=False) as temporary:
             packed = dumps((key, data))
             temporary.write_bytes(hashlib.sha256(packed).digest() + packed)
-        for path in set(self._folder.glob(self._of_any_sources)) - set(self.ours()):
-            with suppress(OSError):  # another process was faster, or has it open
-                path.unlink()
 
     def flush(self) -> None:
-        """Remove all that is kept of the sources as they are."""
+        """Remove all of them."""
         for path in self.ours():
             path.unlink(missing_ok=True)
 
     def _path(self, key: object) -> Path:
         return self._folder / f"{self._base}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+
+
+@functools.cache
+def _digest_of(file: str) -> str:
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
 @functools.cache
@@ -141,9 +189,8 @@ def _fingerprint() -> str:
 
 @functools.cache  # once
 def _warn() -> None:
-    folder = os.environ.get("NUMBA_CACHE_DIR") or "the user's cache folder"
     warnings.warn(
-        f"compiled kernels cannot be kept in {folder}: they are compiled anew at each start, which takes "
-        "half a minute; set NUMBA_CACHE_DIR to a folder that can be written, on a disk with space",
+        f"compiled kernels cannot be written to {_cache_root()}: they are compiled anew at each start, "
+        "which takes half a minute; set NUMBA_CACHE_DIR to a folder on a disk with space, which can be written",
         stacklevel=2,
     )

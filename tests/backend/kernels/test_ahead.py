@@ -62,7 +62,7 @@ def test_processes_share_what_they_can_leave_on_disk(on_disk, processes, monkeyp
         started.append(count)
         return ThreadPoolExecutor(count)
 
-    monkeypatch.setattr(ahead, "kept_on_disk", lambda kernel: on_disk)
+    monkeypatch.setattr(ahead, "cached_files", lambda kernel: on_disk)
     monkeypatch.setattr(ahead, "usable_cores", lambda: 2)
     monkeypatch.setattr(ahead, "ProcessPoolExecutor", pool)
     monkeypatch.setattr(ahead, "_jobs", lambda needs: {"a kernel": lambda: done.append("a kernel")})
@@ -81,7 +81,7 @@ def test_what_a_process_that_died_left_undone_is_done_here(monkeypatch):
             return future
 
     done = []
-    monkeypatch.setattr(ahead, "kept_on_disk", lambda kernel: [])
+    monkeypatch.setattr(ahead, "cached_files", lambda kernel: [])
     monkeypatch.setattr(ahead, "usable_cores", lambda: 2)
     monkeypatch.setattr(ahead, "ProcessPoolExecutor", Died)
     jobs = {name: lambda name=name: done.append(name) for name in ("a kernel", "another")}

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is kept of compiled kernels: never code of other sources, and no start fails for want of a disk."""
+"""What is cached of compiled kernels: never code of other sources, and no start fails for want of a disk."""
 
 import ast
 import errno
+import importlib.util
 import os
 import threading
 import warnings
@@ -26,7 +27,7 @@ def frozen(x):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """Where kernels are kept that are made in a test."""
+    """Where kernels are cached that are made in a test."""
     monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(tmp_path))
     return tmp_path
 
@@ -55,8 +56,8 @@ def started_anew():
     return kernel(frozen)
 
 
-def kept(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.rglob("*.nb?"))
+def cached(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*.nb?"))
 
 
 def hits(compiled) -> int:
@@ -68,20 +69,37 @@ def test_a_later_start_finds_what_was_compiled_for_the_same_arguments(folder, so
     later = started_anew()
     assert later(1) == 2 and hits(later) == 1
     assert later(1.5) == 2.5 and hits(later) == 1
-    assert len(kept(folder)) == 2
+    assert len(cached(folder)) == 2
 
 
-def test_old_code_is_never_found_and_goes_when_new_code_is_kept(folder, sources):
+def test_old_code_is_never_found_and_goes_when_there_is_much_newer_code(folder, sources):
     started_anew()(1)
-    before = kept(folder)
-    python = before[0].split(".")[2]
-    next(folder.rglob("*.nb?")).with_name(
-        f"test_compiling.frozen-7.{python}.nbi"
-    ).touch()  # Numba's own cache
-    sources(2)
-    assert compiling.kept_on_disk(started_anew()) == []
-    assert started_anew()(1) == 3
-    assert len(kept(folder)) == 1 and kept(folder) != before
+    oldest = cached(folder)
+    for value in range(2, compiling.OTHERS_KEPT + 3):
+        sources(value)
+        assert compiling.cached_files(started_anew()) == []
+        assert started_anew()(1) == 1 + value
+        assert (oldest[0] in cached(folder)) == (value < compiling.OTHERS_KEPT + 2)
+    assert len(cached(folder)) == compiling.OTHERS_KEPT + 1
+
+
+def test_a_kernel_of_a_file_that_is_none_of_the_sources_is_not_found_once_that_changes(
+    folder, sources, monkeypatch
+):
+    started_anew()(1)
+    monkeypatch.setattr(compiling, "_digest_of", lambda file: "another content")
+    assert compiling.cached_files(started_anew()) == []
+
+
+def test_copies_of_the_same_sources_share_their_kernels(folder, tmp_path):
+    for place, found in ((tmp_path / "one", 0), (tmp_path / "other", 1)):
+        place.mkdir()
+        (place / "copied.py").write_text("def twice(x):\n    return 2 * x\n")
+        spec = importlib.util.spec_from_file_location("copied", place / "copied.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        compiled = kernel(module.twice)
+        assert compiled(2) == 4 and hits(compiled) == found
 
 
 def test_code_that_the_disk_has_no_room_for_is_not_replaced_by_old_code(folder, sources, monkeypatch):
@@ -151,7 +169,7 @@ def test_without_a_folder_kernels_work_and_one_warning_names_the_remedy(tmp_path
         first, second = started_anew(), started_anew()
     assert first(1) == second(1) == 2
     assert [("NUMBA_CACHE_DIR" in str(each.message)) for each in said] == [True]
-    assert compiling.kept_on_disk(first) is None
+    assert compiling.cached_files(first) is None
 
 
 def test_a_folder_that_goes_does_not_stop_a_kernel(folder, sources):
@@ -171,6 +189,7 @@ NOT_COMPILED = {
     "bridge/errors.py",
     "bridge/atomic.py",
     "bridge/limits.py",
+    "bridge/user_cache.py",
     "backend/memory.py",
     "backend/kernels/plain.py",
     "backend/scene/camera.py",
