@@ -19,10 +19,10 @@ setup: ## Set up both environments (.venvs/), or say what to install
 demo: setup ## Scene → data → training → relit picture: runs/demo/result.png
 	@$(BACKEND) tools/demo.py
 
-test: setup ## Lint of what is shipped, and the tests of both sides of the house, but for what takes long
+test: setup ## Lint, and the tests of both sides of the house, but for what takes long
 	@$(PYTHON) tools/run_tests.py
 
-test-long: setup ## What takes long: several trainings, lint as on Windows and macOS, the installed wheel, short fuzz and torture
+test-long: setup ## What takes long: several trainings, types as on three systems, the installed wheel, short fuzz and torture
 	@$(PYTHON) tools/run_tests.py --long
 
 fuzz: setup ## Bad inputs for every reader, for messages and a running server; WITH="--seed 5" and other options

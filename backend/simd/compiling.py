@@ -76,7 +76,8 @@ def source_files() -> list[Path]:
 
 def _cache_root() -> Path:
     """Has a folder for each state of the sources."""
-    return Path(config.CACHE_DIR or user_cache() / "kernels")
+    chosen = config.CACHE_DIR  # pyright: ignore[reportAttributeAccessIssue]
+    return Path(chosen or user_cache() / "kernels")
 
 
 class _Locator(UserProvidedCacheLocator):
@@ -191,6 +192,6 @@ def _fingerprint() -> str:
 def _warn() -> None:
     warnings.warn(
         f"compiled kernels cannot be written to {_cache_root()}: they are compiled anew at each start, "
-        "which takes half a minute; set NUMBA_CACHE_DIR to a folder on a disk with space, which can be written",
+        "which takes half a minute; set NUMBA_CACHE_DIR to a writable folder, on a disk with space",
         stacklevel=2,
     )

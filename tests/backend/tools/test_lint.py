@@ -2,13 +2,14 @@
 """`make lint`: three systems, of two of them the files that can differ there; one failure fails it."""
 
 import importlib.util
+import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
+IDENTITY = ("-c", "user.name=A", "-c", "user.email=a@b.c")
 
 
 @pytest.fixture
@@ -43,18 +44,41 @@ def test_pyright_looks_as_on_each_system(lint, whole):
     assert systems["Linux"][-1] == "Linux"  # every file that pyproject.toml includes
 
 
-def test_the_quick_ones_and_the_others_are_all(lint):
+def test_the_quick_ones_and_the_others_are_all(lint, monkeypatch):
+    monkeypatch.setattr(lint, "changed_files", lambda root: ["bridge/srgb.py"])
     quick, others = lint.checks(quick=True), lint.checks(others=True)
-    assert {*quick, *others} - {"pyright, the rest"} == lint.checks().keys()
-    words = [word for command in quick.values() for word in command]
-    assert "Linux" in words and not {"Windows", "Darwin"} & set(words)
-    # As on Linux, each file that pyproject.toml includes once: by its name, or by a folder that comes later.
-    shipped = {word for word in quick["pyright"] if word.endswith(".py")}
-    later = others["pyright, the rest"][others["pyright, the rest"].index("Linux") + 1 :]
-    included = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pyright"]["include"]
-    for path in (path.relative_to(ROOT) for room in included for path in (ROOT / room).rglob("*.py")):
-        assert (str(path) in shipped) != any(path.is_relative_to(folder) for folder in later), path
-    assert shipped and all((ROOT / folder).is_dir() for folder in later)
+    assert quick | others == lint.checks()
+    assert quick["pyright"][-2:] == ["Linux", "bridge/srgb.py"] and not any("ruff" in name for name in others)
+    monkeypatch.setattr(lint, "changed_files", lambda root: [])
+    assert lint.checks(quick=True).keys() == quick.keys() - {"pyright"}  # without files it looks at all
+
+
+def test_what_changed_is_what_the_branch_it_follows_lacks(lint, tmp_path):
+    def git(*words: str) -> None:
+        subprocess.run(
+            ["git", *IDENTITY, "-C", str(tmp_path / "mine"), *words], check=True, capture_output=True
+        )
+
+    def write(name: str) -> None:
+        (tmp_path / "mine" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "mine" / name).write_text(f"# {name}, {lint.changed_files(tmp_path / 'mine')}\n")
+
+    (tmp_path / "mine").mkdir()
+    git("init", "-b", "main", ".")
+    for name in ("bridge/same.py", "bridge/removed.py", "bridge/edited.py", "tests/test_it.py"):
+        write(name)
+    git("add", ".")
+    git("commit", "-m", "theirs")
+    assert lint.changed_files(tmp_path / "mine") == []  # it follows none
+    git("branch", "theirs")
+    git("branch", "--set-upstream-to", "theirs")
+    write("lab/committed.py")
+    git("add", ".")
+    git("commit", "-m", "mine")
+    for name in ("bridge/edited.py", "tests/test_it.py", "addon/new.py", "docs/page.md"):
+        write(name)
+    (tmp_path / "mine" / "bridge" / "removed.py").unlink()
+    assert lint.changed_files(tmp_path / "mine") == ["addon/new.py", "bridge/edited.py", "lab/committed.py"]
 
 
 @pytest.mark.parametrize("failing", ["first", "second", None])
