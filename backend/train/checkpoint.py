@@ -236,8 +236,9 @@ def digest_of(tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]) 
     digest = hashlib.sha256(json.dumps(said).encode())
     for name in sorted(tensors):
         digest.update(name.encode())
-        # As bytes: NumPy does not know every type that a file may name.
-        digest.update(tensors[name].contiguous().reshape(-1).view(torch.uint8).numpy().data)
+        flat = tensors[name].contiguous().reshape(-1)
+        if len(flat):  # as bytes: NumPy does not know every type that a file may name
+            digest.update(flat.view(torch.uint8).numpy().data)
     return digest.hexdigest()
 
 

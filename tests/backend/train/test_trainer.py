@@ -233,6 +233,16 @@ def test_metadata_are_part_of_the_digest(tiny_data, tmp_path):
     assert resume(tmp_path, scene, config).iteration == 5
 
 
+def test_a_checkpoint_may_hold_a_tensor_without_numbers(tmp_path):
+    """Such as the learned levels of light, where all levels are known."""
+    path = tmp_path / CHECKPOINT_FILE
+    save_checkpoint(
+        path, {"empty": torch.from_numpy(np.zeros(0)), "one": torch.ones(1)}, dict.fromkeys(METADATA, "")
+    )
+    tensors, _ = load_checkpoint(path)
+    assert tensors["empty"].shape == (0,) and tensors["one"] == 1.0
+
+
 @pytest.mark.parametrize("at", [b'"iteration":"5"', b'"networks.tone_mapper.b1":{', b'"__metadata__":{'])
 def test_a_name_that_stands_twice_in_a_checkpoint_is_refused(at, tiny_data, tmp_path):
     """The library takes the last of them, another program the first."""
