@@ -156,8 +156,11 @@ def text_width(text: str) -> float:
 
 def first_line(context: bpy.types.Context, text: str, beside: float = 0.0) -> str:
     """As much of a text as one line holds; ``beside``: pixels that something else takes of it."""
-    lines = wrap(text, room(context) - beside - text_width(" …"))
-    return f"{lines[0]} …" if len(lines) > 1 else "".join(lines)
+    width = room(context) - beside
+    if text_width(text) <= width:
+        return text
+    fits = next((k for k in range(len(text) - 1, 0, -1) if text_width(f"{text[:k]}…") <= width), 1)
+    return f"{text[:fits].rstrip()}…"
 
 
 def wrap(text: str, width: float) -> list[str]:

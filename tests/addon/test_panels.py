@@ -659,8 +659,10 @@ def test_every_long_task_ends_with_a_word_and_a_way_to_what_it_made(chosen, name
     runtime.session().state = said
     status_bar.draw(bar, bpy.context)
     assert f"{tasks.ENDED[name]}: made.html" in [text for _, text, *_ in texts(bar.layout)]
-    long = replace(state, made=Made(name, "/home/somebody/" + "a rather long name " * 4))
-    assert not [each for each in texts(draw(PHYSHDR_PT_status, long)) if parts.text_width(each[1]) > each[2]]
+    for much in ("a rather long name " * 4, "a_name_that_is_longer_than_the_line"):
+        long = list(texts(draw(PHYSHDR_PT_status, replace(state, made=Made(name, f"/home/somebody/{much}")))))
+        assert not [each for each in long if parts.text_width(each[1]) > each[2]]
+        assert [text for _, text, *_ in long if text.startswith(f"{tasks.ENDED[name]}: {much[:3]}")]
     assert height(draw(PHYSHDR_PT_status, said))[1] <= height(draw(PHYSHDR_PT_status, state))[1]
 
 
