@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,9 @@ METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
 RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain", "light left")
 
 LIT_COLUMNS = ("photos", "relit", "scaled photo", "scaled ours", "gain")
+
+#: Characters in a line of a heading above numbers, on a terminal.
+HEADING_WIDTH = 8
 
 REPORT_FILES = (EVALUATION_FILE, "evaluation.csv", REPORT_FILE)
 RESPONSE_FILE = "response.png"
@@ -342,9 +346,9 @@ def _markdown_table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> st
 def _rich_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for i, column in enumerate(columns):
-        # On a narrow terminal, headings and names such as 'ambient 4 + pendant 0.25' wrap; numbers do not.
-        width = max((len(row[i]) for row in rows), default=0) if i else None
-        table.add_column(column, justify="right" if i else "left", min_width=width)
+        # On 80 columns, 'ambient 0.5 + pendant 2' has its place; longer names take two lines.
+        heading = textwrap.fill(column, HEADING_WIDTH, break_long_words=False) if i else column
+        table.add_column(heading, justify="right" if i else "left", no_wrap=i > 0)
     for row in rows:
         table.add_row(*row)
     return table

@@ -2,7 +2,7 @@
 """``physhdr prepare`` of photos under several lights: folders, words, one reconstruction, lights.json."""
 
 import json
-from datetime import datetime, timedelta
+from datetime import timedelta
 from importlib import import_module
 
 import numpy as np
@@ -21,9 +21,6 @@ from physhdr.bridge.light_groups import read_light_groups
 room = import_module("physhdr.tests.backend.scene.capture.room")
 
 PLACES, LIT = 9, (1, 2, 4, 5, 6, 7)
-#: On the other side of the room than the first lamp.
-PENDANT = (-2.0, -1.5, 2.2)
-MOMENT = datetime(2026, 5, 1, 12)
 
 
 def prepare(*words):
@@ -38,28 +35,19 @@ def refused(*words):
     return str(caught.value)
 
 
-def bracket(folder, number, seen, exposures):
-    """As a camera writes them, a second apart, and its counter begins anew in each folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for k, seconds in enumerate(exposures):
-        moment = MOMENT + timedelta(seconds=30 * number + 4 * k)
-        path = folder / f"IMG_{len(exposures) * number + k:04d}.jpg"
-        room.write_photo(path, room.codes(seen, seconds), seconds, moment, 100, 8.0)
-
-
 @pytest.fixture(scope="module")
 def shoot(tmp_path_factory):
     """Brackets of two and three exposures: with the pendant, without it, and from two places of nothing."""
     folder, rays = tmp_path_factory.mktemp("lights"), room.rays_of_lens()
     for number, pose in enumerate(room.arc(PLACES)):
         corner = room.picture(pose, rays, room.WIDTH, room.HEIGHT)
-        pendant = 1.5 * room.picture(pose, rays, room.WIDTH, room.HEIGHT, PENDANT)
-        bracket(folder / "room", number, corner + pendant, (0.1, 0.4))
+        pendant = 1.5 * room.picture(pose, rays, room.WIDTH, room.HEIGHT, room.PENDANT)
+        room.write_bracket(folder / "room", number, corner + pendant, (0.1, 0.4))
         if number in LIT:
-            bracket(folder / "room" / "pendant off", LIT.index(number), corner, (0.25, 1.0, 4.0))
+            room.write_bracket(folder / "room" / "pendant off", LIT.index(number), corner, (0.25, 1.0, 4.0))
         if number < 3:
             grey = np.full((room.HEIGHT, room.WIDTH, 3), 0.2 + 0.1 * number)
-            bracket(folder / "lamp_dim", number, grey, (0.1, 0.4))
+            room.write_bracket(folder / "lamp_dim", number, grey, (0.1, 0.4))
     (folder / "room" / "pictures of us").mkdir()
     room.write_photo(folder / "room" / "pictures of us" / "a.jpg", np.zeros((12, 16, 3), np.uint8))
     return folder
@@ -152,7 +140,7 @@ def tiny(folder, count=6, seconds=(1.0, 4.0), size=(16, 12), make="Room", first=
     """Grey photos that only headers are read of."""
     folder.mkdir(parents=True)
     for k in range(count):
-        moment = MOMENT + timedelta(seconds=20 * (k // len(seconds)) + 5 * (k % len(seconds)))
+        moment = room.MOMENT + timedelta(seconds=20 * (k // len(seconds)) + 5 * (k % len(seconds)))
         pixels = np.full((size[1], size[0], 3), 90, np.uint8)
         path = folder / f"IMG_{first + k}.jpg"
         room.write_photo(path, pixels, seconds[k % len(seconds)], moment, 100, 8.0)

@@ -26,6 +26,10 @@ BOXES = (
 EXPOSURES = (0.125, 0.5, 2.0)
 #: Where a lamp is, metres: in a corner.
 LAMP = (2.2, 1.8, 2.3)
+#: Another one, on the other side of the room.
+PENDANT = (-2.0, -1.5, 2.2)
+#: When the first photo of a folder was taken.
+MOMENT = datetime(2026, 5, 1, 12)
 
 
 def response(exposure: np.ndarray) -> np.ndarray:
@@ -204,10 +208,21 @@ def write_photo(
     Image.fromarray(pixels).save(path, exif=exif.tobytes(), **options)
 
 
+def write_bracket(
+    folder: Path, number: int, seen: np.ndarray, exposures: tuple[float, ...] = EXPOSURES
+) -> None:
+    """One place's photos; the camera's counter begins anew in each folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, seconds in enumerate(exposures):
+        moment = MOMENT + timedelta(seconds=30 * number + 4 * k)
+        path = folder / f"IMG_{len(exposures) * number + k:04d}.jpg"
+        write_photo(path, codes(seen, seconds), seconds, moment, 100, 8.0)
+
+
 def write_brackets(folder: Path, capture: Capture, order: tuple[int, ...] = (1, 0, 2)) -> None:
     """Photos as a camera names them, each bracket in automatic bracketing's order (0, −, +)."""
     folder.mkdir()
-    moment, number = datetime(2026, 5, 1, 12, 0, 0), 9997  # the camera's counter runs over on the way
+    moment, number = MOMENT, 9997  # the camera's counter runs over on the way
     for seen in capture.radiance:
         for k in order:
             pixels = codes(seen, EXPOSURES[k])
