@@ -98,7 +98,7 @@ def _follow_model(current: Session) -> None:
     job = current.state.job
     for window in bpy.context.window_manager.windows:
         if window.scene.is_editable:  # not linked from another file
-            settings.follow_lights(window.scene.physhdr, job.lights)
+            settings.follow_lights(window.scene.physhdr, job.lights, job.standard_levels)
             if job.has_model:
                 settings.follow_exposure(window.scene.physhdr, job.photographed_ev)
 

@@ -361,6 +361,8 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         soft_max=4.0,
         description="Strength of the ambient light: 1 as captured, 0 off. Lamps stay as they are",
     )
+    #: What the first light's level began with; see ``follow_lights``.
+    standard_level: bpy.props.FloatProperty(options={"HIDDEN"}, default=1.0)
     further_levels: bpy.props.CollectionProperty(
         type=PHYSHDR_LightLevel, description="Levels of the lights after the first that models have had"
     )
@@ -383,14 +385,18 @@ def photo_options(chosen: PHYSHDR_Settings, **overrides: Any) -> PhotoOptions:
     return PhotoOptions(**options)
 
 
-def follow_lights(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> None:
-    """Give each light after the first a level; not from a panel's ``draw``, which may change nothing.
+def follow_lights(chosen: PHYSHDR_Settings, lights: Sequence[str], standard: Sequence[float]) -> None:
+    """Give each light a level that begins at its ``standard`` one, that of the photographs.
 
-    Those of other models stay, so that each keeps its level while one looks at another model.
+    Not from a panel's ``draw``, which may change nothing. Levels of other models' lights stay, so that each
+    keeps its level while one looks at another model.
     """
-    for name in lights[1:]:
+    for name, level in zip(lights[1:], standard[1:], strict=True):
         if name not in chosen.further_levels:
-            chosen.further_levels.add().name = name
+            light = chosen.further_levels.add()
+            light.name, light.level = name, level
+    if standard and abs(standard[0] - chosen.standard_level) > 1e-6:  # Blender keeps a float32
+        chosen.standard_level = chosen.lighting_level = standard[0]
 
 
 def follow_exposure(chosen: PHYSHDR_Settings, photographed_ev: float) -> None:

@@ -265,7 +265,8 @@ class JobStatus:
     training (then from its beginning on), else by how fast iterations go just now. ``losses``: weighted
     terms; ``monitor``: measured on a fixed held-out view, ``PSNR``. ``saved_iteration``: of the newest
     checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what previews may ask for.
-    ``lights``: names of the lights that the model has levels for, empty where there is no model.
+    ``lights``: names of the lights that the model has levels for, empty where there is no model, and
+    ``standard_levels`` of each, at which its photographs were taken.
     ``photographed_ev``: the EV at which previews of photographs look as these do (0: of renders).
     ``controller``: the name of the client that steers.
     """
@@ -287,6 +288,7 @@ class JobStatus:
     has_model: bool = False
     can_relight: bool = False
     lights: tuple[str, ...] = ()
+    standard_levels: tuple[float, ...] = ()
     photographed_ev: float = 0.0
     failure: Failure | None = None
     controller: str = ""

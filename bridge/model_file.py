@@ -24,6 +24,7 @@ from .camera_list import ListedCamera, camera_text, cameras_of
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from .lights import AMBIENT, Levels, as_levels, check_lights
 from .limits import EV_MAX, EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
+from .photographed_light import photographed_light, standard_levels
 from .regular import LONGEST_HEADER, parse_json, without_waiting
 
 FORMAT = "physhdr-model"
@@ -140,6 +141,11 @@ class Model:
             return photographed_ev(self.metadata)
         known = sorted(self.exposures)
         return math.log2(known[len(known) // 2]) if known else 0.0
+
+    @property
+    def standard_levels(self) -> tuple[float, ...]:
+        """One for each of ``lights``: those of the standard photographs, at which looking at it begins."""
+        return standard_levels(self.metadata, self.lights)
 
     def known_levels(self, level: Levels) -> tuple[float, ...]:
         """What ``level`` is for each of ``lights``, limited to the range of a baked-levels model.
@@ -559,6 +565,7 @@ def _check_values(model: Model) -> None:
     if model.confidence is not None and ((model.confidence < 0.0).any() or (model.confidence > 1.0).any()):
         raise BadValueError("confidence has a value outside [0, 1]", "It is a probability.")
     lights = check_lights(model.lights, "the model")
+    photographed_light(model.metadata)
     if (model.light_share is None) == (model.level_log_gain is None):
         raise DataMismatchError("exactly one of light_share and level_log_gain must be there")
     if model.light_share is not None:

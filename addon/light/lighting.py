@@ -21,7 +21,7 @@ from .. import outside
 from ..blender import cloud_of, settings_of_cycles
 from ..model import nodes
 from ..model.node_builder import Field, NodeBuilder
-from ..model.point_cloud import lights_of
+from ..model.point_cloud import lights_of, photographed_light_of
 from .probes import FOLDER, KNOWN, is_probe, known
 
 #: What mirrors and glass see of the capture.
@@ -266,10 +266,11 @@ class _Assembly:
         self.make = make = NodeBuilder(self.tree)
         with make.frame("Direction, in the model's space"):
             direction = self._direction()
+        standard = photographed_light_of(cloud_of(self.model))[0].of(self.lights)
         with make.frame("The model's sliders"):
             levels = [
-                self._driven(f"Level of {name}", nodes.level_input(self.lights, index), 1.0)
-                for index, name in enumerate(self.lights)
+                self._driven(f"Level of {name}", nodes.level_input(self.lights, index), level)
+                for index, (name, level) in enumerate(zip(self.lights, standard, strict=True))
             ]
             exposure = make.math("POWER", 2.0, self._driven("Exposure", nodes.EXPOSURE, 0.0), label="2^EV")
         weights = self._weights(probes)

@@ -33,7 +33,7 @@ from .attributes import (
     Attribute,
 )
 from .cleaning import ALL, Cleaning, RenderCamera, kept
-from .point_cloud import lights_of, read_attribute
+from .point_cloud import lights_of, photographed_light_of, read_attribute
 
 
 def inputs(lights: Sequence[str]) -> list[str]:
@@ -111,11 +111,12 @@ def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = No
     """The look of a model: its values now, or with ``depsgraph`` as evaluated there (a frame being rendered).
 
     A model whose modifier was removed has the look it was captured with. Raises ``DataMismatchError`` as
-    ``lights_of`` does.
+    ``lights_of`` and ``photographed_light_of`` do.
     """
     lights = lights_of(cloud_of(target))
     values = _values(target, (*inputs(lights), *nodes.CLEANING, *nodes.CULLING), depsgraph)
-    levels = [values.get(nodes.level_input(lights, index), 1.0) for index in range(len(lights))]
+    standard = photographed_light_of(cloud_of(target))[0].of(lights)
+    levels = [values.get(nodes.level_input(lights, k), level) for k, level in enumerate(standard)]
     return Look(
         exposure_ev=values.get(nodes.EXPOSURE, 0.0),
         lighting_levels=tuple(levels),

@@ -12,11 +12,12 @@ from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import ColorSpace
 from ...bridge.gaussian_import import is_model_file, read_gaussians
 from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, WORLD, photographed_ev
+from ...bridge.photographed_light import PHOTOGRAPHED_LIGHT
 from .. import outside
 from . import parts, pose
 from .attributes import CAPTURE, COLOR_SPACE, FILE, TURN, metadata_property
 from .look import cast_no_shadow
-from .nodes import EXPOSURE, set_input
+from .nodes import EXPOSURE, level_input, set_input
 from .origin import capture_of_file, key_of
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
@@ -65,16 +66,19 @@ def import_file(
     cloud[CAPTURE] = key_of(str(path)) if is_of_world else capture_of_file(path)
     cloud[TURN] = 0.0 if is_model_file(path) else _turn(UPS.get(orientation, source.up))
     pose.remember(cloud)
-    ev = photographed_ev(source.model.metadata)
+    ev, levels = photographed_ev(source.model.metadata), source.model.standard_levels
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
-        cloud.pop(metadata_property(PHOTOGRAPHED_EV), None)  # display colours have their exposure in them
-        ev = 0.0
+        for entry in (PHOTOGRAPHED_EV, PHOTOGRAPHED_LIGHT):  # display colours have these in them
+            cloud.pop(metadata_property(entry), None)
+        ev, levels = 0.0, (1.0,)
     target = bpy.data.objects.new(name, cloud)
     try:
         target.rotation_euler.x = cloud[TURN]
         modifier = add_modifier(target, source.model)
         set_input(modifier, EXPOSURE, ev)
+        for index, level in enumerate(levels):
+            set_input(modifier, level_input(source.model.lights, index), level)
         cast_no_shadow(target)
         parts.note(target)
         (collection or bpy.context.scene.collection).objects.link(target)

@@ -16,6 +16,8 @@ from ...bridge.camera_list import ListedCamera, camera_text, cameras_of
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import AMBIENT, check_lights
 from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, Model, photographed_ev
+from ...bridge.photographed_light import PHOTOGRAPHED_LIGHT, PhotographedLight, photographed_light
+from ...bridge.spherical_harmonics import C0
 from ..blender import cloud_of
 from .attributes import (
     BASE,
@@ -46,7 +48,7 @@ from .tone_curve import ToneCurve
 #: Quaternions of this length but for rounding are unit: they stay to the bit when imported again.
 UNIT_TOLERANCE = 1e-6
 #: Where a model is from; kept as custom properties.
-METADATA = ("scene", "method", "iteration", "edited", SPACE, PHOTOGRAPHED_EV)
+METADATA = ("scene", "method", "iteration", "edited", SPACE, PHOTOGRAPHED_EV, PHOTOGRAPHED_LIGHT)
 
 
 def attributes_of(
@@ -64,7 +66,7 @@ def attributes_of(
     length[np.abs(length - 1.0) < UNIT_TOLERANCE] = 1.0
     yield ROTATION, model.rotation / length
 
-    shown_sh = native_splats.shown_sh(model.log_radiance_sh) if colour_sh is None else colour_sh
+    shown_sh = _shown_sh(model) if colour_sh is None else colour_sh
     yield BASE, np.column_stack([shown_sh[:, 0], model.opacity])
     for k in range(1, shown_sh.shape[1]):
         yield SHOWN_SH[k - 1], shown_sh[:, k]
@@ -79,6 +81,15 @@ def attributes_of(
             yield LEVEL_LOG_GAIN[index], gain
     if model.confidence is not None:
         yield CONFIDENCE, model.confidence
+
+
+def _shown_sh(model: Model) -> np.ndarray:
+    """What Blender shows by itself: the model under the light of its standard photographs."""
+    log_radiance_sh = model.log_radiance_sh
+    if any(level != 1.0 for level in model.standard_levels):
+        log_radiance_sh = np.array(log_radiance_sh)
+        log_radiance_sh[:, 0] += model.log_gain(model.standard_levels) / np.float32(C0)
+    return native_splats.shown_sh(log_radiance_sh)
 
 
 def build_point_cloud(model: Model, name: str, colour_sh: np.ndarray | None = None) -> bpy.types.PointCloud:
@@ -222,6 +233,20 @@ def photographed_ev_of(target: bpy.types.Object) -> float:
     """The EV at which a model looks as its photographs; 0 where it is of none."""
     stored = cloud_of(target).get(metadata_property(PHOTOGRAPHED_EV), "")
     return photographed_ev({PHOTOGRAPHED_EV: str(stored)})
+
+
+def photographed_light_of(cloud: bpy.types.PointCloud) -> tuple[PhotographedLight, ...]:
+    """The light that a model's photographs were taken under, the standard one first.
+
+    Raises ``DataMismatchError`` where it was edited into something else.
+    """
+    stored = cloud.get(metadata_property(PHOTOGRAPHED_LIGHT))
+    try:
+        return photographed_light({} if stored is None else {PHOTOGRAPHED_LIGHT: str(stored)})
+    except BadValueError as error:
+        raise DataMismatchError(
+            f"the point cloud {cloud.name!r}: {error.message}", "Undo the edit, or import the model again."
+        ) from error
 
 
 def _provenance(model: Model) -> dict[str, Any]:

@@ -198,7 +198,7 @@ class Convert(Exporting, BakedLook, FormatOptions):
         return self.blend_linear or (target.holds == "radiance" and not self.display_colors)
 
     def _asks_for_light(self) -> bool:
-        return self.lighting_level != 1.0 or bool(self.lighting_levels)
+        return self.lighting_level is not None or bool(self.lighting_levels)
 
     def _coloured(self, source: Source, linear: bool, show: ShowProgress) -> tuple[SplatCloud, str]:
         """The source's Gaussians with linear or display-referred colours for the file, and a description."""
@@ -257,16 +257,21 @@ class Convert(Exporting, BakedLook, FormatOptions):
     def _levels(self, source: Source, model: Model, linear: bool) -> tuple[float, ...]:
         """The level of each light that is written: the requested one where colours are fitted to images of
         the run itself, else limited to the levels that the model knows."""
-        asked = requested_levels(self.lighting_level, self.lighting_levels, model.lights)
+        asked = self._requested(model)
         of_pictures = source.run is not None and not (linear or self.quick) and self._tone(model) == "LEARNED"
         return asked if of_pictures else model.known_levels(asked)
+
+    def _requested(self, model: Model) -> tuple[float, ...]:
+        return requested_levels(
+            self.lighting_level, self.lighting_levels, model.lights, model.standard_levels
+        )
 
     def _limited(self, source: Source, linear: bool) -> tuple[str, ...]:
         """A note where a model does not know its light at the requested level."""
         model = source.model
         if model is None or not model.levels:
             return ()
-        asked = requested_levels(self.lighting_level, self.lighting_levels, model.lights)
+        asked = self._requested(model)
         levels = self._levels(source, model, linear)
         if levels == asked:
             return ()

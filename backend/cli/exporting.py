@@ -32,8 +32,8 @@ class BakedLook:
     #: in USD (default 0: unchanged).
     exposure_ev: float | None = None
     #: Level of the first light, the ambient one if that has levels.
-    lighting_level: float = 1.0
-    #: Lights by name: NAME=VALUE …; the others are at 1.
+    lighting_level: float | None = None
+    #: Lights by name: NAME=VALUE …; the others are as in the standard photos (mostly 1).
     lighting_levels: tuple[str, ...] = ()
     #: Convert each colour by itself instead of fitting colours to images from the training cameras (or
     #: --cameras): faster, but they blend to different, mostly darker images. docs/other-programs.md

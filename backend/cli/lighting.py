@@ -7,15 +7,19 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import as_levels, named_levels
 
 
-def requested_levels(level: float, named: Sequence[str], lights: Sequence[str]) -> tuple[float, ...]:
+def requested_levels(
+    level: float | None, named: Sequence[str], lights: Sequence[str], standard: Sequence[float]
+) -> tuple[float, ...]:
     """The level of each of ``lights``: ``level`` for the first one, ``named`` (``NAME=VALUE``) by name.
 
-    Others are at 1. A light named ``-key`` would be read as an option: put a space before it, which no name
-    starts with. Raises ``BadValueError`` for an unknown light (listing the known ones), an invalid level, or
-    a light named twice.
+    Others are as in the ``standard`` photographs (a level each). A light named ``-key`` would be read as an
+    option: put a space before it, which no name starts with. Raises ``BadValueError`` for an unknown light
+    (listing the known ones), an invalid level, or a light named twice.
     """
-    as_levels(level, lights)
-    found: dict[str, float] = {} if level == 1.0 else {lights[0]: level}
+    found: dict[str, float] = {}
+    if level is not None:
+        as_levels(level, lights)
+        found[lights[0]] = level
     for text in named:
         name, equals, value = text.rpartition("=")
         name = name.strip()
@@ -32,4 +36,4 @@ def requested_levels(level: float, named: Sequence[str], lights: Sequence[str]) 
                 f"--lighting-levels: {name} is given twice", f"--lighting-level is that of {lights[0]}."
             )
         found[name] = number
-    return named_levels(found, lights, "--lighting-levels")
+    return named_levels(dict(zip(lights, standard, strict=True)) | found, lights, "--lighting-levels")

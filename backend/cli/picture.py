@@ -66,7 +66,9 @@ class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
         if self.camera is not None:
             return self._along(self.camera, say)
         run = self._opened(say)
-        levels = requested_levels(self.lighting_level, self.lighting_levels, run.method.lights)
+        levels = requested_levels(
+            self.lighting_level, self.lighting_levels, run.method.lights, run.method.standard_levels
+        )
         camera = camera_named(run.scene, self.view)
         if self.width is not None:
             camera = camera.resized(self.width)
@@ -80,7 +82,7 @@ class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
     def _check(self) -> None:
         """Raises ``BadValueError`` for options that do not go together."""
         kind = self.only_out.suffix.lower()
-        if not self.lighting_level >= 0.0:
+        if not (self.lighting_level or 0.0) >= 0.0:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.exposure is not None:
             EXPOSURE.check(self.exposure, "--exposure")
@@ -145,12 +147,12 @@ class Picture(Rendering, CameraOptions, LookOptions, PictureOptions):
 
     def _frames(self, run: Run, shots: Shots) -> list[Frame]:
         """The frames, from the file and the options."""
-        lights = run.method.lights
-        levels = requested_levels(self.lighting_level, self.lighting_levels, lights)
+        lights, standard = run.method.lights, run.method.standard_levels
+        levels = requested_levels(self.lighting_level, self.lighting_levels, lights, standard)
         if any(shot.levels for shot in shots.frames):
             if changed := changed_options(self, "lighting_level", "lighting_levels"):
                 raise BadValueError(f"--{changed[0]}: the file of cameras has levels", "Leave it out.")
-            lit = [levels_of(shot, lights) for shot in shots.frames]
+            lit = [levels_of(shot, lights, standard) for shot in shots.frames]
         else:
             lit = [levels] * len(shots.frames)
         exposure = self.exposure or run.scene.middle_exposure

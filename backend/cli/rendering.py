@@ -81,8 +81,8 @@ class LookOptions:
     #: Seconds; not for .exr. Default: the middle exposure of the data set.
     exposure: float | None = None
     #: Level of the first light (the ambient one if that has levels), relative to the standard views.
-    lighting_level: float = 1.0
-    #: Lights by name: NAME=VALUE …; the others are at 1.
+    lighting_level: float | None = None
+    #: Lights by name: NAME=VALUE …; the others are as in the standard photos (mostly 1).
     lighting_levels: tuple[str, ...] = ()
 
 

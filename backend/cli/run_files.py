@@ -37,13 +37,15 @@ class RunFiles(Exporting, BakedLook):
 
     def work(self) -> dict[str, Any]:
         say = printer(self.json)
-        if not self.lighting_level >= 0.0 or not abs(self.exposure_ev or 0.0) <= EV_MAX:
+        if not (self.lighting_level or 0.0) >= 0.0 or not abs(self.exposure_ev or 0.0) <= EV_MAX:
             raise BadValueError(
-                f"cannot bake at EV {self.exposure_ev or 0.0} and lighting level {self.lighting_level}",
+                f"cannot bake at EV {self.exposure_ev or 0.0}, lighting level {self.lighting_level or 0.0}",
                 f"Give an EV of −{EV_MAX:g} to {EV_MAX:g} and a lighting level of 0 or more.",
             )
         run = open_run(self.source, self.data, report=say, pictures=False)
-        levels = requested_levels(self.lighting_level, self.lighting_levels, run.method.lights)
+        levels = requested_levels(
+            self.lighting_level, self.lighting_levels, run.method.lights, run.method.standard_levels
+        )
         out = writable_folder(self.out or self.source)
         refuse_others(out / CAMERAS_FILE)
         former = _former(out)

@@ -14,7 +14,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.limits import EXPOSURE, LEVEL
 from ...bridge.shots import Shots
 from ..evaluate.camera_path import camera_of, levels_of, orbit_path, spline_path
-from ..evaluate.renderer import Renderer
+from ..evaluate.renderer import Renderer, standard_of
 from ..evaluate.sheets import as_picture
 from ..evaluate.video import frames_writer, require_suffix, video_writer
 from ..runs.files import writable_folder
@@ -127,7 +127,7 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
                 f"--{changed[0]} has no effect: --camera sets every frame's camera, light and time",
                 "Leave it out.",
             )
-        if not self.lighting_level >= 0.0:
+        if not (self.lighting_level or 0.0) >= 0.0:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.view is not None and (self.camera is not None or self._path != "still"):
             raise BadValueError(
@@ -158,12 +158,13 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
         """
         exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
         exposure = self.exposure or scene.middle_exposure
+        standard = standard_of(method, scene)
         if shots is not None:
             return [
                 Frame(
                     camera_of(shot, shots, self.width),
                     exposure * 2.0**shot.exposure_ev,
-                    levels_of(shot, method.lights),
+                    levels_of(shot, method.lights, standard),
                 )
                 for shot in shots.frames
             ]
@@ -177,7 +178,7 @@ class Video(Rendering, CameraOptions, LookOptions, VideoOptions):
             cameras = (spline_path if self._path == "spline" else orbit_path)(standing, count)
         if self.width is not None:
             cameras = [camera.resized(self.width) for camera in cameras]
-        levels = requested_levels(self.lighting_level, self.lighting_levels, method.lights)
+        levels = requested_levels(self.lighting_level, self.lighting_levels, method.lights, standard)
         times, lit = [exposure] * count, [levels] * count
         ends: tuple[float, ...] = self.sweep_range or ()
         low, high = ends[:2] or (LIGHT_RANGE if self.sweep == "lighting" else (exposures[0], exposures[-1]))
@@ -260,7 +261,7 @@ def round_trip(start: float, low: float, high: float, count: int) -> list[float]
     The next one would be ``start`` again, or the nearer end if it lies outside.
     """
     stops = float(np.log2(high / low))
-    begin = float(np.clip(np.log2(start / low) / stops, 0.0, 1.0)) if stops else 0.0
+    begin = float(np.clip(np.log2(max(start, min(low, high)) / low) / stops, 0.0, 1.0)) if stops else 0.0
     # A triangle of period 2, which rises through ``begin`` at 0.
     at = (begin + 2.0 * np.arange(count) / max(count, 1)) % 2.0
     return [float(low * (high / low) ** (1.0 - abs(1.0 - each))) for each in at]

@@ -83,14 +83,17 @@ def camera_of(shot: Shot, shots: Shots, width: int | None = None) -> Camera:
     return camera if width is None else camera.resized(width)
 
 
-def levels_of(shot: Shot, lights: Sequence[str]) -> tuple[float, ...]:
-    """A level for each of the model's lights; raises ``BadValueError`` where a frame has more."""
+def levels_of(shot: Shot, lights: Sequence[str], standard: Sequence[float]) -> tuple[float, ...]:
+    """A level for each of the model's lights, by default ``standard``.
+
+    Raises ``BadValueError`` where a frame has more.
+    """
     if len(shot.levels) > len(lights):
         raise BadValueError(
             f"a frame has {len(shot.levels)} lights, the model has {len(lights)}: {', '.join(lights)}",
             "Write the file again with this run's model selected.",
         )
-    return (*shot.levels, *[1.0] * (len(lights) - len(shot.levels)))
+    return (*shot.levels, *standard[len(shot.levels) :])
 
 
 def focus_of(cameras: Sequence[Camera]) -> np.ndarray:

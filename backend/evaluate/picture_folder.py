@@ -26,7 +26,7 @@ from ..scene.pictures import picture_size, read_codes, write_exr, write_png
 from ..scene.scene import Scene, View
 from . import truth
 from .pictures import finite
-from .renderer import Renderer
+from .renderer import Renderer, standard_of
 from .results import VIEWS_OF
 
 REMEDY = "Write it again with the name and size of the data set's picture; see lab/compare.md."
@@ -85,12 +85,13 @@ class PictureFolder(Renderer):
         there = truth.relit_truth(scene.root) if self._split == TEST else []
         names = [name for item in there for name in item.levels]
         self.lights = tuple(dict.fromkeys([AMBIENT, *names]))
+        self._standard = standard_of(self, scene)
         self._relit: dict[tuple[int, tuple[float, ...]], Path] = {}
         for condition in dict.fromkeys(item.condition for item in there):
             items = [item for item in there if item.condition == condition]
             paths = [self._at(scene, item.path) for item in items]
             if self._is_whole(paths, condition):
-                keys = [(item.index, item.levels_of(self.lights)) for item in items]
+                keys = [(item.index, item.levels_of(self.lights, self._standard)) for item in items]
                 self._relit |= dict(zip(keys, paths, strict=True))
         if self._relit and not self.has_hdr:
             raise FileMissingError(
@@ -123,17 +124,17 @@ class PictureFolder(Renderer):
 
     def shows(self, item: truth.RelitTruth) -> bool:
         """Whether there are pictures under this light."""
-        return (item.index, item.levels_of(self.lights)) in self._relit
+        return (item.index, item.levels_of(self.lights, self._standard)) in self._relit
 
     @property
     def remarks(self) -> tuple[str, ...]:
         return ("Pictures that another program made: how it was trained is not known here.",)
 
     def hdr(self, camera: Camera, lighting_level: Levels | None = None) -> torch.Tensor:
-        view, level = self._view(camera), 1.0 if lighting_level is None else lighting_level
-        levels = as_levels(level, self.lights)
-        standard = lighting_level is None or all(level == 1.0 for level in levels)
-        path = self._hdr.get(camera) if standard else self._relit.get((view.index, levels))
+        view = self._view(camera)
+        levels = self._standard if lighting_level is None else as_levels(lighting_level, self.lights)
+        is_standard = levels == self._standard
+        path = self._hdr.get(camera) if is_standard else self._relit.get((view.index, levels))
         if path is None:
             raise BadValueError(f"{self.folder} has no HDR picture of {view.name} at the levels {levels}")
         with _of_a_picture():
@@ -225,7 +226,7 @@ def write_pictures(
             f"{folder} is the data set, whose pictures would be replaced", "Give another folder."
         )
     relit = truth.relit_truth(scene.root) if split == TEST else []
-    views, count = scene.splits[split], 0
+    views, standard, count = scene.splits[split], standard_of(renderer, scene), 0
     _require_none_stays(renderer, scene, folder, views, relit)
     with all_at_once(folder) as unfinished:
         for done, view in enumerate(views):
@@ -241,7 +242,8 @@ def write_pictures(
             conditions = [item for item in conditions if item.can_be_shown(renderer.lights)]
             radiance = {hdr_path(scene, split, view): renderer.hdr(view.camera)}
             radiance |= {
-                item.path: renderer.hdr(view.camera, item.levels_of(renderer.lights)) for item in conditions
+                item.path: renderer.hdr(view.camera, item.levels_of(renderer.lights, standard))
+                for item in conditions
             }
             for path, picture in radiance.items():
                 write_exr(unfinished / name_in(scene, path), _planes_last(finite(picture, view.name)))

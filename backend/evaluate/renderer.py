@@ -71,5 +71,5 @@ class Renderer(Protocol):
 
 
 def standard_of(renderer: Renderer, scene: Scene) -> tuple[float, ...]:
-    """Levels of the renderer's lights in the scene's standard views; () where it has others: all at 1."""
-    return scene.standard_levels if renderer.lights == scene.lights else ()
+    """Levels of the renderer's lights in the scene's standard views: all at 1 where it has others."""
+    return scene.standard_levels if renderer.lights == scene.lights else tuple(1.0 for _ in renderer.lights)

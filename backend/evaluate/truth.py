@@ -93,14 +93,12 @@ class RelitTruth:
         """Whether a model with levels for ``lights`` has one for every changed light."""
         return all(name in lights for name in self.changed)
 
-    def levels_of(self, lights: Sequence[str], standard: Sequence[float] = ()) -> tuple[float, ...]:
+    def levels_of(self, lights: Sequence[str], standard: Sequence[float]) -> tuple[float, ...]:
         """A level for each of ``lights``; raises ``BadValueError`` if a changed one is missing.
 
-        ``standard``: of those that it does not name; empty: 1.
+        ``standard``: of those that it does not name.
         """
         named = named_levels(self.changed, lights, self.condition)
-        if not standard:
-            return named
         each = zip(lights, named, standard, strict=True)
         return tuple(level if light in self.levels else usual for light, level, usual in each)
 

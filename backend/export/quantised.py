@@ -117,6 +117,7 @@ def quantised(model: Model) -> Quantised:
         "degree": model.sh_degree,
         "lights": list(model.lights),
         "levels": list(model.levels),
+        "standard": list(model.standard_levels),
         "base_step": BASE_STEP,
         "rest_step": REST_STEP,
         "step_codes": STEP_CODES,

@@ -12,6 +12,12 @@ import numpy as np
 from ...bridge.camera_list import ListedCamera
 from ...bridge.errors import DataMismatchError
 from ...bridge.model_file import PHOTOGRAPHED_EV, Model
+from ...bridge.photographed_light import (
+    PHOTOGRAPHED_LIGHT,
+    STANDARD,
+    PhotographedLight,
+    photographed_light_text,
+)
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
 from ..export.confidence import ViewInTraining, confidence_of
@@ -58,6 +64,8 @@ class Run:
         }
         if ev := self.photographed_ev:
             told[PHOTOGRAPHED_EV] = f"{ev:.4f}"
+        if light := photographed_light_text(self.photographed_light()):
+            told[PHOTOGRAPHED_LIGHT] = light
         return told
 
     @property
@@ -67,6 +75,11 @@ class Run:
         Photographs of a hundredth of a second are of radiance about a hundred, which is white as it is.
         """
         return math.log2(self.scene.middle_exposure) if self.scene.photographs else 0.0
+
+    def photographed_light(self) -> list[PhotographedLight]:
+        """The light of its standard photographs."""
+        each = zip(self.method.lights, self.method.standard_levels, strict=True)
+        return [PhotographedLight(STANDARD, dict(each))]
 
     @cached_property
     def radiance_scale(self) -> float:

@@ -217,7 +217,12 @@ class Engine:
             failure = self._failure(error)
             self._close()
             self._status.change(
-                state="failed", message=failure.message, failure=failure, has_model=False, lights=()
+                state="failed",
+                message=failure.message,
+                failure=failure,
+                has_model=False,
+                lights=(),
+                standard_levels=(),
             )
         finally:
             self._training, self._is_beginning = None, False
@@ -272,6 +277,7 @@ class Engine:
                 has_model=before.has_model,
                 can_relight=before.can_relight,
                 lights=before.lights,
+                standard_levels=before.standard_levels,
                 photographed_ev=before.photographed_ev,
                 device=before.device,
             )
@@ -311,6 +317,7 @@ class Engine:
                 has_model=True,
                 can_relight=run.method.can_relight,
                 lights=run.method.lights,
+                standard_levels=run.method.standard_levels,
                 photographed_ev=run.photographed_ev,
             )
         )

@@ -50,10 +50,10 @@ def camera_of(asked: PreviewCamera) -> Camera:
     return Camera(pose, width, height, asked.fx, asked.fy, asked.cx, asked.cy)
 
 
-def levels_of(request: PreviewRequest, lights: tuple[str, ...]) -> tuple[float, ...]:
-    """A level for each of ``lights``, 1 for those missing from the request; raises ``BadValueError``."""
+def levels_of(request: PreviewRequest, method: Method) -> tuple[float, ...]:
+    """A level for each light, the standard one where the request has none; raises ``BadValueError``."""
     asked = request.lighting_levels
-    return as_levels((*asked, *(1.0 for _ in lights[len(asked) :])), lights)
+    return as_levels((*asked, *method.standard_levels[len(asked) :]), method.lights)
 
 
 def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
@@ -69,7 +69,7 @@ def render(method: Method, request: PreviewRequest, iteration: int, scale: float
     Raises ``BadValueError`` for what cannot be rendered.
     """
     begun = time.perf_counter()
-    levels = levels_of(request, method.lights)
+    levels = levels_of(request, method)
     if not abs(request.exposure_ev) <= EV_MAX:
         raise BadValueError(f"an exposure of {request.exposure_ev} EV", f"Choose −{EV_MAX:g} to {EV_MAX:g}.")
     camera = camera_of(request.camera)

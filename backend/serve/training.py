@@ -114,6 +114,7 @@ class Training:
             has_model=True,
             can_relight=run.method.can_relight,
             lights=run.method.lights,
+            standard_levels=run.method.standard_levels,
             photographed_ev=run.photographed_ev,
         )
         if paused:

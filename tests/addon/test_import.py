@@ -21,6 +21,8 @@ import addon_utils  # noqa: E402
 import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, point_cloud, radiance_tree  # noqa: E402
 from physhdr.addon.model import material as materials  # noqa: E402
+from physhdr.addon.model.look import look_of  # noqa: E402
+from physhdr.bridge import native_splats, spherical_harmonics  # noqa: E402
 from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
 
@@ -123,6 +125,32 @@ def test_a_model_of_photographs_is_as_bright_as_they_are(registered, make_model,
     assert (
         nodes.get_input(nodes.find_modifier(baked), nodes.EXPOSURE) == shots.photographed_ev_of(baked) == 0.0
     )
+
+
+def test_a_model_is_lit_as_its_photographs_at_first(registered, make_model, write, tmp_path):
+    """A lamp that was on in its group alone begins off, for every way of looking at the model."""
+    lights = ("ambient", "flash")
+    model = dataclasses.replace(
+        make_model(lights=lights),
+        metadata={"photographed_light": '[{"name": "standard", "levels": {"flash": 0}}]'},
+    )
+    bpy.ops.physhdr.model_import(filepath=str(write(model)))
+    target = bpy.context.active_object
+    assert nodes.get_input(nodes.find_modifier(target), nodes.level_input(lights, 1)) == 0.0
+    assert look_of(target).lighting_levels == point_cloud.model_of(target.data).standard_levels == (1.0, 0.0)
+    # Blender alone shows it so, too: as a model whose radiance is without the flash from the start.
+    without = np.log(1.0 - model.light_share[:, 1]) / spherical_harmonics.C0
+    sh = model.log_radiance_sh.copy()
+    sh[:, 0] += without.astype(np.float32)
+    shown = point_cloud.read_attribute(target.data, "radiance:base")[:, :3]
+    np.testing.assert_allclose(shown, native_splats.shown_sh(sh)[:, 0], atol=1e-5)
+    # Colours for a screen have their light in them already.
+    assert bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "a.ply"), quick=True) == {"FINISHED"}
+    bpy.ops.physhdr.model_import(filepath=str(tmp_path / "a.ply"))
+    baked = bpy.context.active_object
+    assert look_of(baked).lighting_levels == (1.0,) and "physhdr_photographed_light" not in baked.data
+    target.modifiers.clear()
+    assert look_of(target).lighting_levels == (1.0, 0.0)
 
 
 @pytest.mark.parametrize("told", ["nan", "inf", "1e9", "bright", ""])

@@ -356,7 +356,7 @@ def test_no_text_is_cut_at_the_default_width(chosen, name, tmp_path, monkeypatch
             light.folder, light.light, light.word = str(tmp_path / "lamp"), "lamp", word
     for live, automatic in ((False, True), (True, False)):
         chosen.preview, chosen.iterations_automatic = live, automatic
-        settings.follow_lights(chosen, LIGHTS)
+        settings.follow_lights(chosen, LIGHTS, [1.0] * len(LIGHTS))
         for panel in PANELS:
             for kind, text, free, *_ in texts(draw(panel, state)):
                 wide = parts.text_width(text)
@@ -474,7 +474,7 @@ def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
 
 def test_the_sliders_of_the_preview_stay_where_they_are(chosen):
     found = states(chosen.data)
-    settings.follow_lights(chosen, LIGHTS)
+    settings.follow_lights(chosen, LIGHTS, [1.0] * len(LIGHTS))
     rows = {}
     for name in ("training", "finished", "open"):
         for live in (False, True):

@@ -17,7 +17,7 @@ from physhdr.addon.viewport.schedule import PreviewSchedule, View  # noqa: E402
 from physhdr.bridge.messages import Envelope, JobStatus, decode, encode  # noqa: E402
 from physhdr.bridge.model_file import write_model  # noqa: E402
 
-LIGHTS = ("ambient", "pendant", "Küche")
+LIGHTS, USUAL = ("ambient", "pendant", "Küche"), (1.0, 1.0, 1.0)
 
 
 @pytest.fixture
@@ -30,20 +30,32 @@ def test_each_light_has_a_level_that_it_keeps(settings):
     assert preview_levels(settings, ()) == preview_levels(settings, ("ambient",)) == (0.5,)
     assert preview_levels(settings, LIGHTS) == (0.5, 1.0, 1.0)  # the sliders come with the timer's next look
     for _ in range(2):
-        follow_lights(settings, LIGHTS)
+        follow_lights(settings, LIGHTS, USUAL)
     assert [light.name for light in settings.further_levels] == ["pendant", "Küche"]
     settings.further_levels["Küche"].level = 3.0
     assert preview_levels(settings, LIGHTS) == (0.5, 1.0, 3.0)
     # Another model, with its lights in another order and one more; then none.
     others = ("sun", "Küche", "screen")
-    follow_lights(settings, others)
+    follow_lights(settings, others, USUAL)
     assert preview_levels(settings, others) == (0.5, 3.0, 1.0)
-    follow_lights(settings, ())
+    follow_lights(settings, (), ())
     assert preview_levels(settings, LIGHTS) == (0.5, 1.0, 3.0)
 
 
+def test_levels_begin_as_the_photographs_have_them(settings):
+    """A lamp that was on in its group alone is off; what the user sets stays, also of the first light."""
+    standard = (0.25, 0.0, 1.0)
+    follow_lights(settings, LIGHTS, standard)
+    assert preview_levels(settings, LIGHTS) == standard
+    settings.lighting_level, settings.further_levels["pendant"].level = 2.0, 3.0
+    follow_lights(settings, LIGHTS, standard)
+    assert preview_levels(settings, LIGHTS) == (2.0, 3.0, 1.0)
+    follow_lights(settings, ("ambient",), (1.0,))  # another model
+    assert preview_levels(settings, ("ambient",)) == (1.0,)
+
+
 def test_levels_are_saved_with_the_scene(settings, tmp_path):
-    follow_lights(settings, LIGHTS)
+    follow_lights(settings, LIGHTS, USUAL)
     settings.further_levels["pendant"].level = 0.25
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -53,7 +65,7 @@ def test_levels_are_saved_with_the_scene(settings, tmp_path):
 
 def test_a_sliders_change_is_asked_for_with_every_level(settings):
     camera = ViewCamera(np.eye(4), 64, 48, 80.0, 80.0, 32.0, 24.0)
-    follow_lights(settings, LIGHTS)
+    follow_lights(settings, LIGHTS, USUAL)
     schedule = PreviewSchedule()
 
     def wanted(now: float):
@@ -78,7 +90,7 @@ def test_the_preview_follows_the_model_of_its_run_that_is_in_the_scene(settings,
         (tmp_path / name).mkdir()
         write_model(tmp_path / name / "model.safetensors", model)
         bpy.ops.physhdr.model_import(filepath=str(tmp_path / name / "model.safetensors"), name=name)
-    follow_lights(settings, LIGHTS)
+    follow_lights(settings, LIGHTS, USUAL)
     settings.exposure_ev, settings.lighting_level, settings.tone = 1.0, 0.25, "linear"
     own = (1.0, (0.25, 1.0, 1.0), "linear")
     # Another order of lights than the file's, and one that the file has not.

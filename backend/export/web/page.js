@@ -107,7 +107,7 @@ class Page {
     on.hidden = isBaked;
     on.addEventListener("change", () => this.told());
     slider.addEventListener("input", () => { on.checked = true; this.told(); });
-    slider.addEventListener("dblclick", () => { slider.value = "0"; this.told(); });
+    slider.addEventListener("dblclick", () => { this.setLevel(k, this.facts.standard[k]); this.told(); });
     row.append(on, label, told, slider);
     element("lights").append(row);
     return { on, slider, told };
@@ -115,11 +115,12 @@ class Page {
 
   levels() { return this.lights.map(({ on, slider }) => on.checked ? 2 ** Number(slider.value) : 0); }
 
-  setLevels(levels) {
-    this.lights.forEach(({ on, slider }, k) => {
-      on.checked = this.facts.levels.length > 0 || levels[k] !== 0;
-      if (levels[k] > 0) slider.value = String(Math.log2(levels[k]));
-    });
+  setLevels(levels) { levels.forEach((level, k) => this.setLevel(k, level)); }
+
+  setLevel(k, level) {
+    const { on, slider } = this.lights[k];
+    on.checked = this.facts.levels.length > 0 || level !== 0;
+    slider.value = level > 0 ? String(Math.log2(level)) : "0";
   }
 
   /** What the controls say, in words; and draw it. */
@@ -141,7 +142,7 @@ class Page {
   reset() {
     const { facts } = this;
     element("exposure").value = facts.exposure.start;
-    this.setLevels(facts.lights.map(() => 1));
+    this.setLevels(facts.standard);
     element("response").value = Object.keys(this.responses)[0];
     element("move").value = this.walker.mode = "orbit";
     element("confidence").checked = false;

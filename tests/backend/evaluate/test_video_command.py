@@ -48,6 +48,7 @@ def test_a_round_trip_begins_and_ends_where_things_stand() -> None:
     np.testing.assert_allclose(stops, [1, 2, 3, 2, 1, 0, -1, -2, -3, -2, -1, 0], atol=1e-12)
     down_first = np.log2(round_trip(2.0, 8.0, 0.125, 12))
     np.testing.assert_allclose(down_first, [1, 0, -1, -2, -3, -2, -1, 0, 1, 2, 3, 2], atol=1e-12)
+    assert round_trip(0.0, 0.125, 8.0, 12)[0] == 0.125  # a lamp that is off in the photos
     assert round_trip(100.0, 1.0, 4.0, 4)[0] == 4.0, "from the nearer end where it stands outside"
     assert round_trip(1.0, 3.0, 3.0, 2) == [3.0, 3.0]
 
