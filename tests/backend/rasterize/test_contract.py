@@ -11,6 +11,7 @@ from physhdr.backend.rasterize import cpu, rasterize
 from physhdr.backend.rasterize.cpu.projection import project
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.splatting import ALPHA_MAX
 from physhdr.tests.backend.threads import assert_same_bits
 
 NAMES = ("means", "quaternions", "scales", "opacities", "colours", "screen_offsets")
@@ -109,6 +110,24 @@ def test_nearly_transparent_and_opaque(implementation):
     tensors[3][:200] = torch.linspace(0.0, 0.01, 200)  # around the 1/255 below which nothing is drawn
     tensors[3][200:300] = 1.0  # alpha is clamped
     assert_matches_reference(implementation, tensors, view)
+
+
+def test_where_alpha_is_clipped_only_colours_have_a_gradient(implementation):
+    """min(ALPHA_MAX, ·) is constant there, in every pixel of this picture; what is behind keeps its own."""
+    view = camera(16, 16, cx=8.0, cy=8.0)
+    tensors = random_gaussians(2, 3, view, seed=9, spread=0.0)
+    tensors[2][0] = 40.0 * tensors[0][0].norm()  # wider than the picture: 0.9995 of its opacity everywhere
+    tensors[3][:] = torch.tensor([1.0, 0.5])
+    view_axis = torch.from_numpy(-view.camera_to_world[:3, 2]).float()
+    tensors[0] = torch.from_numpy(view.position).float() + torch.tensor([[1.0], [2.0]]) * view_axis
+    # 1 − 0.999 has four digits in float32.
+    _, gradients = assert_matches_reference(implementation, tensors, view, gradient=1e-3)
+    clipped = dict(zip(NAMES, gradients, strict=True))
+    for name in ("means", "quaternions", "scales", "opacities", "screen_offsets"):
+        assert (clipped[name][0] == 0.0).all(), name
+        assert (clipped[name][1] != 0.0).any(), name
+    weights = torch.randn(3, 16, 16, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(clipped["colours"][0], ALPHA_MAX * weights.sum((1, 2)), rtol=1e-4, atol=1e-4)
 
 
 def test_close_to_the_camera(implementation):
