@@ -35,8 +35,7 @@ SHORT = ["--iterations", "30", "--set", "sh_degree_every=5"]
     scope="module",
     params=[
         "default",
-        "paper",
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("baseline", "fast")),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("paper", "baseline", "fast")),
     ],
 )
 def run(request, tiny_data, tmp_path_factory):

@@ -37,19 +37,13 @@ def refused(*words):
 
 @pytest.fixture(scope="module")
 def shoot(tmp_path_factory):
-    """Brackets of two and three exposures: with the pendant, without it, and from two places of nothing."""
+    """Brackets of two and three exposures: with the pendant, and without it."""
     folder, rays = tmp_path_factory.mktemp("lights"), room.rays_of_lens()
     for number, pose in enumerate(room.arc(PLACES)):
-        corner = room.picture(pose, rays, room.WIDTH, room.HEIGHT)
-        pendant = 1.5 * room.picture(pose, rays, room.WIDTH, room.HEIGHT, room.PENDANT)
-        room.write_bracket(folder / "room", number, corner + pendant, (0.1, 0.4))
+        corner, pendant = room.pictures(pose, rays, room.WIDTH, room.HEIGHT, (room.LAMP, room.PENDANT))
+        room.write_bracket(folder / "room", number, corner + 1.5 * pendant, (0.1, 0.4))
         if number in LIT:
             room.write_bracket(folder / "room" / "pendant off", LIT.index(number), corner, (0.25, 1.0, 4.0))
-        if number < 3:
-            grey = np.full((room.HEIGHT, room.WIDTH, 3), 0.2 + 0.1 * number)
-            room.write_bracket(folder / "lamp_dim", number, grey, (0.1, 0.4))
-    (folder / "room" / "pictures of us").mkdir()
-    room.write_photo(folder / "room" / "pictures of us" / "a.jpg", np.zeros((12, 16, 3), np.uint8))
     return folder
 
 
@@ -118,19 +112,6 @@ def test_other_programs_get_the_standard_light_alone(prepared, tmp_path, capsys)
     assert f"{len(LIT)} views under other light were ignored" in said
     frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
     assert len(frames) == PLACES
-
-
-def test_what_is_left_out_is_named(shoot, tmp_path, capsys):
-    assert prepare(shoot / "room", tmp_path / "out", "--max-width", 200) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "folders whose names say which light differs: 'pendant off', 'lamp_dim'" in said
-    assert "ignoring folders of photos whose names say no light: pictures of us" in said
-    assert "ignoring 'lamp dim': none of its photos could be placed" in said
-    assert "pendant can be turned afterwards: off from 6 places" in said
-    assert "lamp can be turned" not in said.split("finding the cameras")[1]
-    origin = json.loads((tmp_path / "out" / "prepare.json").read_text())
-    assert origin["lights"] == {"pendant off": "pendant off"}
-    assert prepare(shoot / "room", tmp_path / "out", "--overwrite", "--look", "--light", "none") == 0
 
 
 # ---- without COLMAP ------------------------------------------------------------------------------------
@@ -212,26 +193,47 @@ def test_folders_in_or_beside_that_say_it_themselves(tmp_path, capsys):
     assert [each["group"] for each in more["lights"]] == ["flash on", "Pendant off", "desk_lamp off"]
 
 
-def test_a_light_that_is_on_in_its_group_alone_is_off_in_the_standard(tmp_path):
-    """Cameras that exist: what is written is the same as after structure from motion."""
-    photos = tiny(tmp_path / "photos", 12)
-    tiny(tmp_path / "flash on", 12)
+def with_cameras(folder):
+    """Photos under two lights and a model of their cameras, from which the same is written as by COLMAP."""
+    photos = tiny(folder / "photos", 12)
+    tiny(folder / "flash on", 12)
     poses, model = room.arc(6), pycolmap.Reconstruction()
     camera = pycolmap.Camera(camera_id=1, model="PINHOLE", width=16, height=12, params=[15, 15, 8, 6])
     model.add_camera_with_trivial_rig(camera)
-    for folder in ("", "flash on/"):
+    for light in ("", "flash on/"):
         for number, pose in enumerate(poses):
-            name, image_id = f"{folder}IMG_{2 * number}.jpg", model.num_images() + 1
+            name, image_id = f"{light}IMG_{2 * number}.jpg", model.num_images() + 1
             image = pycolmap.Image(name=name, camera_id=1, image_id=image_id)
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
-    (tmp_path / "model").mkdir()
-    model.write(str(tmp_path / "model"))
+    (folder / "model").mkdir()
+    model.write(str(folder / "model"))
+    return photos, folder / "model"
+
+
+def test_a_light_that_is_on_in_its_group_alone_is_off_in_the_standard(tmp_path):
+    photos, model = with_cameras(tmp_path)
     out = tmp_path / "out"
-    assert prepare(photos, out, "--poses", tmp_path / "model", "--test-every", 3) == 0
+    assert prepare(photos, out, "--poses", model, "--test-every", 3) == 0
     lights = read_light_groups(out)
     assert lights is not None and lights.standard == {"flash": 0.0}
     assert lights.groups[0].levels == {"flash": 1.0} and len(lights.groups[0].pictures) == 6
     assert sum(name.startswith("test") for name in lights.groups[0].pictures) >= 1
+
+
+def test_what_is_left_out_is_named(tmp_path, capsys):
+    photos, model = with_cameras(tmp_path)
+    tiny(tmp_path / "lamp_dim", 4)
+    tiny(photos / "pictures of us", 1)
+    out = tmp_path / "out"
+    assert prepare(photos, out, "--poses", model) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "folders whose names say which light differs: 'flash on', 'lamp_dim'" in said
+    assert "ignoring folders of photos whose names say no light: pictures of us" in said
+    assert "ignoring 'lamp dim': none of its photos could be placed" in said
+    assert "flash can be turned afterwards: on from 6 places" in said
+    assert "lamp can be turned" not in said.split(f"wrote {out}")[1]
+    assert json.loads((out / "prepare.json").read_text())["lights"] == {"flash on": "flash on"}
+    assert prepare(photos, out, "--overwrite", "--look", "--light", "none") == 0
 
 
 @pytest.mark.parametrize(

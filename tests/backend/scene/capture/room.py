@@ -2,6 +2,7 @@
 """A room with boxes, ray cast with numpy, photographed in brackets by a camera that is known exactly."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import cache
@@ -68,6 +69,7 @@ def distort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+@cache
 def rays_of_lens() -> np.ndarray:
     """``[n, 3]`` directions of every sample of a picture with distortion, in the camera's axes."""
     columns = ((np.arange(WIDTH * OVER) + 0.5) / OVER - CX) / FOCAL
@@ -118,10 +120,8 @@ def albedo_at(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
     return upper * (1.0 - u) + lower * u
 
 
-def radiance(
-    position: np.ndarray, directions: np.ndarray, lamp: tuple[float, float, float] = LAMP
-) -> np.ndarray:
-    """``[n, 3]`` radiance that reaches ``position`` from ``directions`` ``[n, 3]``, by a lamp."""
+def surfaces(position: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places and albedos ``[n, 3]`` of what is seen from ``position`` in ``directions`` ``[n, 3]``."""
     nearest = np.full(len(directions), np.inf)
     face = np.zeros(len(directions), np.int64)
     along = np.ascontiguousarray(directions.T)
@@ -144,21 +144,23 @@ def radiance(
         across = [axis for axis in range(3) if axis != normal]
         plane = places[here][:, across] - np.array(BOXES[box][0])[across]
         albedo[here] = albedo_at(textures()[one], plane * (TEXELS[box] / TILES[box]))
+    return places, albedo
+
+
+def pictures(
+    pose: np.ndarray, rays: np.ndarray, width: int, height: int, lamps: Sequence[tuple[float, float, float]]
+) -> list[np.ndarray]:
+    """``[height, width, 3]`` mean radiance over each pixel by each of the lamps alone."""
+    places, albedo = surfaces(-pose[:, :3].T @ pose[:, 3], rays @ pose[:, :3])
     # From bright to dark over five stops.
-    towards = np.array(lamp) - places
-    return albedo * 6.0 / (0.15 + (towards**2).sum(axis=1, keepdims=True))
+    squares = [((np.array(lamp) - places) ** 2).sum(axis=1, keepdims=True) for lamp in lamps]
+    seen = [albedo * 6.0 / (0.15 + square) for square in squares]
+    return [one.reshape(height, OVER, width, OVER, 3).mean(axis=(1, 3)) for one in seen]
 
 
-def picture(
-    pose: np.ndarray,
-    rays: np.ndarray,
-    width: int,
-    height: int,
-    lamp: tuple[float, float, float] = LAMP,
-) -> np.ndarray:
-    """``[height, width, 3]`` mean radiance over each pixel."""
-    seen = radiance(-pose[:, :3].T @ pose[:, 3], rays @ pose[:, :3], lamp)
-    return seen.reshape(height, OVER, width, OVER, 3).mean(axis=(1, 3))
+def picture(pose: np.ndarray, rays: np.ndarray, width: int, height: int) -> np.ndarray:
+    """``[height, width, 3]`` mean radiance over each pixel by the lamp in the corner."""
+    return pictures(pose, rays, width, height, [LAMP])[0]
 
 
 @dataclass
