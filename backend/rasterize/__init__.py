@@ -14,10 +14,11 @@ from ...bridge.errors import BadValueError
 from ..scene.camera import Camera
 from .card import warp_rasterize, warp_takes
 from .contract import Rasterization
+from .depth import depth_of
 
 Implementation = Literal["auto", "reference", "cpu", "warp"]
 
-__all__ = ["Implementation", "Rasterization", "rasterize"]
+__all__ = ["Implementation", "Rasterization", "median_depth", "rasterize"]
 
 
 def rasterize(
@@ -63,6 +64,35 @@ def rasterize(
     covered = result.alpha.detach() > 0
     depth = torch.where(covered, result.image[-1].detach() / result.alpha.detach().clamp_min(1e-12), 0.0)
     return Rasterization(result.image[:-1], result.alpha, result.radii, depth)
+
+
+@torch.no_grad()
+def median_depth(
+    means: torch.Tensor,
+    quaternions: torch.Tensor,
+    scales: torch.Tensor,
+    opacities: torch.Tensor,
+    camera: Camera,
+    *,
+    implementation: Literal["auto", "reference", "cpu"] = "auto",
+) -> torch.Tensor:
+    """``[H, W]``: where along the camera's axis (metres) the transmittance of each pixel falls to one half.
+
+    0 where less than half is covered. Arguments as of ``rasterize``; no gradient. ``auto``: of float64 by the
+    reference, else on the CPU, where the result is then.
+    """
+    if implementation == "auto":
+        implementation = "reference" if means.dtype == torch.float64 else "cpu"
+    if implementation == "reference":
+        from .reference import median_gaussian
+    else:
+        from .cpu.median import median_gaussian
+
+        means, quaternions, scales, opacities = (
+            each.cpu() for each in (means, quaternions, scales, opacities)
+        )
+    which = median_gaussian(means, quaternions, scales, opacities, camera)
+    return depth_of(which, means, quaternions, scales, camera)
 
 
 def _chosen(name: Implementation, means: torch.Tensor) -> Implementation:

@@ -11,7 +11,9 @@ Conventions (gsplat's, so that its pictures and ours are the same):
 * Gaussians nearer than ``NEAR_PLANE`` are not drawn;
 * the Jacobian of the projection is evaluated with x/z and y/z clamped to the image plus a margin of
   ``JACOBIAN_MARGIN`` times the half field of view on every side;
-* black background.
+* black background;
+* a pixel's median depth is that of the Gaussian that brings its transmittance to ``MEDIAN_TRANSMITTANCE`` or
+  below: unlike the mean, it is never between two surfaces.
 
 A limit of the gradients: what a pixel's light behind a splat is, the backward pass takes from what is left of
 the pixel's sum. Behind something 10² times as bright the digits of float32 leave an error of 4e-4 in it,
@@ -24,6 +26,9 @@ from dataclasses import dataclass
 import torch
 
 from ...bridge.errors import BadValueError
+
+#: The transmittance at which half of what a ray meets is before it.
+MEDIAN_TRANSMITTANCE = 0.5
 
 
 class CannotBeDrawnError(BadValueError):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numba import njit
 
 from ....bridge.splatting import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ...scene.camera import Camera
@@ -73,6 +74,21 @@ def blend_weights(
     return found
 
 
+@njit(error_model="numpy")
+def block_of(column, row):
+    """The bit of a pixel's block in ``entry_blocks``, by its place in the tile."""
+    return np.uint64(row // BLOCK_HEIGHT * BLOCKS_X + column // BLOCK_WIDTH)
+
+
+@njit(error_model="numpy")
+def alpha_at(records, here, x, y):
+    """A Gaussian's alpha at a point on the screen, by its record at ``here``; not 0 below ``ALPHA_MIN``."""
+    dx, dy = x - records[here + MEAN_X], y - records[here + MEAN_Y]
+    u = records[here + L11] * dx + records[here + L21] * dy
+    t = records[here + BIAS] - u * u - records[here + Q] * dy * dy
+    return min(np.float32(2.0) ** (np.float32(8.0) * t), np.float32(ALPHA_MAX))
+
+
 @kernel
 def collect(
     counter,
@@ -107,19 +123,14 @@ def collect(
         for at in range(tile_pixels[tile], tile_pixels[tile + 1]):
             p = by_tile[at]
             x, y = pixel_x[p] + np.float32(0.5), pixel_y[p] + np.float32(0.5)
-            column, row = int(pixel_x[p]) - left, int(pixel_y[p]) - top
-            block = np.uint64(row // BLOCK_HEIGHT * BLOCKS_X + column // BLOCK_WIDTH)
+            block = block_of(int(pixel_x[p]) - left, int(pixel_y[p]) - top)
             through = np.float32(1.0)
             found = 0
             for entry in range(tile_starts[tile], tile_starts[tile + 1]):
                 if not (entry_blocks[entry] >> block) & np.uint64(1):
                     continue
                 g = tile_gaussians[entry]
-                here = g * stride
-                dx, dy = x - records[here + MEAN_X], y - records[here + MEAN_Y]
-                u = records[here + L11] * dx + records[here + L21] * dy
-                t = records[here + BIAS] - u * u - records[here + Q] * dy * dy
-                alpha = min(np.float32(2.0) ** (np.float32(8.0) * t), np.float32(ALPHA_MAX))
+                alpha = alpha_at(records, g * stride, x, y)
                 if alpha < np.float32(ALPHA_MIN):
                     continue
                 after = through * (np.float32(1.0) - alpha)
