@@ -5,7 +5,7 @@ from typing import Any
 
 import bpy
 
-#: Three numbers, in metres where nothing else is said: a sequence, or a Vector, which is none to the stubs.
+#: Three numbers, in metres unless stated otherwise: a sequence, or a Vector, which is none to the stubs.
 Point = Any
 
 

@@ -206,7 +206,7 @@ def _zip(raw: bytes, level: int) -> bytes:
 
 
 def _unzip(packed: bytes, size: int) -> bytes:
-    # Not more than is wanted: a block of a megabyte may unpack to a gigabyte. One byte more tells of more.
+    # Not more than is wanted: a block of a megabyte may unpack to a gigabyte. A byte too many shows it.
     unpacking = zlib.decompressobj()
     flat = np.frombuffer(unpacking.decompress(packed, size + 1), np.uint8)
     if not unpacking.eof or flat.size != size:

@@ -10,7 +10,7 @@ from .blender import evaluated
 from .in_render import rendered
 
 SKIPS = 32  # objects that are not rendered, passed through on the way
-PAST = 1e-5  # of the way so far, and at least as many metres: how far behind a surface the ray goes on
+PAST = 1e-5  # of the way so far, and at least as many metres: how far behind a surface the ray continues
 
 
 class Rays:

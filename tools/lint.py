@@ -83,9 +83,9 @@ def run(name: str, command: list[str]) -> bool:
     """Run one of the checks and print what it says; whether it found nothing."""
     begun = time.perf_counter()
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    said = (done.stdout + done.stderr).rstrip()
+    output = (done.stdout + done.stderr).rstrip()
     verdict = "passed" if done.returncode == 0 else "FAILED"
-    print(f"{said}\n[lint] {name}: {verdict} after {time.perf_counter() - begun:.0f} s", flush=True)
+    print(f"{output}\n[lint] {name}: {verdict} after {time.perf_counter() - begun:.0f} s", flush=True)
     return done.returncode == 0
 
 

@@ -262,7 +262,7 @@ def asked_by_cuda12(version: str, former: str) -> list[str]:
     except (OSError, urllib.error.URLError) as error:
         print(f"{CUDA12_PAGE} cannot be read ({error}): what torch asks for stays", file=sys.stderr)
     if not rows:
-        raise LockError(f"{CUDA12_PAGE} tells of no torch {version}, or not what it asks for")
+        raise LockError(f"{CUDA12_PAGE} lists no torch {version}, or not what it requires")
     return rows
 
 

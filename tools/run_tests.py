@@ -6,8 +6,8 @@
     python tools/run_tests.py --long    what `make test-long` runs: those tests, the rest of lint, the
                                         installed wheel, short fuzz and torture
 
-Other arguments are passed on to pytest. Two lanes run side by side, in each one suite after the other. What a
-suite says is printed when it is done, but for the first lane's, which comes as it is said.
+Other arguments are passed on to pytest. Two lanes run side by side, in each one suite after the other. A
+suite's output is printed when it is done, but for the first lane's, which is printed as it comes.
 """
 
 import os

@@ -45,7 +45,7 @@ SEALED = ("chair", "desk")
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
 #: What is made without a name: the open scenes, and what lab/plans/ladder.toml asks for beside them.
 USUAL = (*(name for name in SAMPLES if name not in SEALED), "bathroom-local")
-#: What real cameras do (docs/photos.md#faults-of-a-rendered-camera): what make_scene.py is told of it.
+#: What real cameras do (docs/photos.md#faults-of-a-rendered-camera): options of make_scene.py.
 CAMERAS = {
     "srgb": ("--crf", "srgb"),
     "filmic": ("--crf", "filmic"),
@@ -64,15 +64,15 @@ CAMERAS = {
 def main() -> int:
     variants = (*CAMERAS, LIT)
     known = {*SAMPLES, *(f"{scene}-{variant}" for scene in SAMPLES for variant in variants)}
-    told = ", ".join([*SAMPLES, *(f"SCENE-{variant}" for variant in variants)])
+    listed = ", ".join([*SAMPLES, *(f"SCENE-{variant}" for variant in variants)])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {told}")
+    parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {listed}")
     parser.add_argument("--plans", nargs="+", type=Path, metavar="FILE", help="what these plans ask for")
     arguments = parser.parse_args()
     names = _asked_for(arguments.plans) if arguments.plans else arguments.names
     for name in names:  # all, before the first is rendered
         if name not in known:
-            parser.error(f"there is no data set '{name}'; there are {told}")
+            parser.error(f"there is no data set '{name}'; there are {listed}")
     for name in names:
         scene, _, camera = name.partition("-")
         parts = (scene, name) if camera in CAMERAS else (name,)  # a camera's set needs the scene's renders

@@ -73,19 +73,19 @@ def attach(
     ``relit``: levels of each further picture of a test view, by the names that ``data`` has for the lights;
     ``called``: where these are others than the capture's.
     """
-    told = folder.read_json(data / CAPTURE_FILE)
+    record = folder.read_json(data / CAPTURE_FILE)
     taken = {photo["file"]: photo for photo in folder.read_json(photos / "truth" / "photos.json")["photos"]}
     of_capture = {light: light for light in capture.lights} | dict(called or {})
     in_data = {light: name for name, light in of_capture.items()}
     standard = next(photo["levels"] for photo in taken.values() if photo["folder"] == STANDARD)
     places = {place.name: place for place in capture.places}
-    lens = _lens(told["lens"], capture)
+    lens = _lens(record["lens"], capture)
     model = pycolmap.Reconstruction(str(data / "sparse" / "0"))
     pinholes = {image.name: model.cameras[image.camera_id] for image in model.images.values()}
-    said = []
+    written = []
     for picture, camera in sorted(pinholes.items()):
         match = NAMED.fullmatch(picture)
-        photo = taken[Path(told["sources"][picture]).name]
+        photo = taken[Path(record["sources"][picture]).name]
         if match is None or photo["folder"] != STANDARD:
             continue
         passes, name = capture.passes(places[photo["place"]]), f"hdr_{int(match[1]):03d}.exr"
@@ -96,17 +96,17 @@ def attach(
         for kind, levels in pictures.items():
             seen = _straightened(passes.radiance(levels), lens, camera)
             folder.write(data / kind / name, exr.encode_rgb(seen))
-            said.append(f"{data / kind / name}: {photo['place']}")
-    if not said:
+            written.append(f"{data / kind / name}: {photo['place']}")
+    if not written:
         raise DamagedFileError(f"'{data}' has no test pictures: prepare it with --test-every 8")
-    return said
+    return written
 
 
-def _lens(told: list[str], capture: Capture) -> Any:
+def _lens(lenses: list[str], capture: Capture) -> Any:
     """The one lens of ``prepare.json``: its model and numbers."""
-    if len(told) != 1:
-        raise DamagedFileError(f"prepare.json tells of {len(told)} lenses; a capture has one")
-    name, _, numbers = told[0].partition(" ")
+    if len(lenses) != 1:
+        raise DamagedFileError(f"prepare.json names {len(lenses)} lenses; a capture has one")
+    name, _, numbers = lenses[0].partition(" ")
     params = [float(number) for number in numbers.split(",")]
     size = {"width": capture.lens.width, "height": capture.lens.height}
     return pycolmap.Camera(model=name, params=params, **size)

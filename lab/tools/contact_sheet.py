@@ -80,7 +80,7 @@ def row(root: Path, cell: int, view: int | None) -> Image.Image:
     title = ImageFont.load_default(16)
     draw.text((0, HEAD - 4), found.scene, INK, title, anchor="ls")
     left = title.getlength(found.scene) + 10
-    draw.text((left, HEAD - 4), told(found), FAINT, ImageFont.load_default(13), anchor="ls")
+    draw.text((left, HEAD - 4), summary(found), FAINT, ImageFont.load_default(13), anchor="ls")
     x = 0
     for part in strip:
         made.paste(part, (x, HEAD))
@@ -88,7 +88,7 @@ def row(root: Path, cell: int, view: int | None) -> Image.Image:
     return made
 
 
-def told(found: Inspection) -> str:
+def summary(found: Inspection) -> str:
     """What stands beside the scene's name."""
     parts = []
     if found.dynamic_range and found.dynamic_range.stops is not None:
@@ -113,7 +113,7 @@ def exposed(root: Path, pose: int, k: int, found: Inspection) -> tuple[str, np.n
 
 
 def relit(root: Path, pose: int, level: float, found: Inspection) -> tuple[str, np.ndarray | None]:
-    """The view under other ambient light at the middle exposure; None where nothing tells of it."""
+    """The view under other ambient light at the middle exposure; None where nothing is known of it."""
     text = f"ambient x {level:g}"
     passes = root / "passes" / f"test_{pose:03d}.exr"
     truth = [entry["folder"] for entry in found.relit if entry["levels"] == {"ambient": level}]

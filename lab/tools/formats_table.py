@@ -185,10 +185,10 @@ class Table:
             issues = json.loads(call([node(), "-e", script, where, self.scratch / "a.glb"]))["issues"]
             errors = [each for each in issues["messages"] if each["severity"] == 0]
             names = [each for each in errors if "KHR_gaussian_splatting:" in each.get("pointer", "")]
-            told = (
+            result = (
                 f"{len(errors) - len(names)} errors ({len(names)} names of attributes that it does not know)"
             )
-            self.row("glTF", f"gltf-validator {version_of('gltf-validator')}", "judges ours", told)
+            self.row("glTF", f"gltf-validator {version_of('gltf-validator')}", "judges ours", result)
         except MissingError as error:
             self.skip("gltf-validator", str(error))
         try:
@@ -216,8 +216,8 @@ class Table:
             "colour": np.abs(sh - self.source.colour_sh).max(),
             "scale": np.abs(np.exp(data.scales) - self.source.scale).max(),
         }
-        told = "largest difference " + ", ".join(f"{name} {value:.1g}" for name, value in different.items())
-        self.row("PLY", f"gsply {gsply.__version__}", "reads ours", told)
+        result = "largest difference " + ", ".join(f"{name} {value:.1g}" for name, value in different.items())
+        self.row("PLY", f"gsply {gsply.__version__}", "reads ours", result)
 
     def viewers(self) -> None:
         try:
@@ -243,7 +243,7 @@ class Table:
                 self.skip(f"{name}, {title}", str(error))
                 continue
             own = [drawn(cloud, camera) for camera in self.cameras]
-            self.row(title, name, viewer.told, db_of(shots, own))
+            self.row(title, name, viewer.settings, db_of(shots, own))
 
     # -- help ------------------------------------------------------------------------------------------------
 
@@ -266,8 +266,8 @@ class Table:
 
     def judge(self, title: str, program: str, what: str, cloud: SplatCloud) -> None:
         lost = self.source.count - cloud.count
-        told = self.db(self.pictures, cloud)
-        self.row(title, program, what, f"{told}{f', {lost} Gaussians fewer' if lost else ''}")
+        result = self.db(self.pictures, cloud)
+        self.row(title, program, what, f"{result}{f', {lost} Gaussians fewer' if lost else ''}")
 
     def db(self, wanted: list[np.ndarray], cloud: SplatCloud | None = None) -> str:
         cloud = cloud or self.source
@@ -285,7 +285,7 @@ class Table:
         scene = f"{self.run.scene.name}, {self.source.count:,} Gaussians"
         lines = [
             f"{scene}, {len(self.cameras)} test views of {self.cameras[0].width} pixels, EV {EV:g}. dB: mean "
-            "PSNR of 8-bit pictures, 100 where all pixels are equal; where nothing else is said, of our "
+            "PSNR of 8-bit pictures, 100 where all pixels are equal; unless stated otherwise, of our "
             "rasteriser's pictures of what was read and of the PLY that it was made of. Viewers: against our "
             "rasteriser of the same file.",
             "",
@@ -382,7 +382,7 @@ class Viewer:
 
     title: str
     packages: tuple[str, ...]
-    told: str
+    settings: str
     files: dict[str, str]
     page: str
 
@@ -458,7 +458,7 @@ VIEWERS = (
     Viewer(
         "Spark",
         ("@sparkjsdev/spark", "three"),
-        "told our convention, and not to pack (`extSplats`)",
+        "set to our convention, and not to pack (`extSplats`)",
         _ALL | {"SPZ 4": "v4.spz", "SOG": "few.sog"},
         _SPARK.replace("OPTIONS", _TOLD).replace("PRECISION", "extSplats: true"),
     ),
@@ -535,14 +535,14 @@ def shot(page: Any, address: str, file: str, camera: Camera, up: Up) -> np.ndarr
     page.set_viewport_size({"width": camera.width, "height": camera.height})
     from playwright.sync_api import Error as PlaywrightError
 
-    told: list[str] = []
-    page.on("pageerror", lambda error: told.append(str(error)))
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
     view = json.dumps(pose.ravel().tolist())
     page.goto(f"{address}?file={file}&angle={angle}&view={view}")
     try:
-        page.wait_for_function("window.done === true", timeout=20_000 if told else PATIENCE)
+        page.wait_for_function("window.done === true", timeout=20_000 if errors else PATIENCE)
     except PlaywrightError as error:
-        raise MissingError(f"it did not show it ({' '.join((told or [str(error)])[:1]):.120})") from error
+        raise MissingError(f"it did not show it ({' '.join((errors or [str(error)])[:1]):.120})") from error
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 
 

@@ -5,7 +5,7 @@
         --lens opencv:-0.12,0.03,0.001,-0.0008 --samples 64
 
 It writes ``passes/place_007.exr`` a place, and of test places ``pinhole/``, the same camera without
-distortion. Interrupted, the same command goes on where it stopped; several may work at the same time.
+distortion. Interrupted, the same command resumes; several may work at the same time.
 ``lab/tools/take_photos.py`` then makes photos of it, as often and with as many faults as wanted.
 """
 

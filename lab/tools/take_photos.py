@@ -129,9 +129,9 @@ def _take(given: argparse.Namespace) -> None:
     true_model.write(given.out / "truth", capture.lens, views)
     names = {photo: f"{photo.folder}/{photo.name}{suffix}" for photo in planned}
     folder.write_json(given.out / "transforms.json", photos.transforms(planned, names, capture.lens))
-    told = folder.read_json(given.out / "truth" / TRUTH_FILE)
-    told["photos"] = [photos.describe(photo, suffix) for photo in planned]
-    folder.write_json(given.out / "truth" / TRUTH_FILE, told)
+    truth = folder.read_json(given.out / "truth" / TRUTH_FILE)
+    truth["photos"] = [photos.describe(photo, suffix) for photo in planned]
+    folder.write_json(given.out / "truth" / TRUTH_FILE, truth)
 
 
 def _evs(text: str) -> list[float]:

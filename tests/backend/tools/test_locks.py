@@ -232,7 +232,7 @@ def test_what_torch_for_cuda_12_asks_for_is_read_from_the_index_and_kept(lock, t
     former = "".join(f"# torch 2.13.0+cu126 asks for {each}\n" for each in asked)
     assert lock.asked_by_cuda12("2.13.0", former) == asked
     assert "cannot be read" in capsys.readouterr().err
-    with pytest.raises(lock.LockError, match=r"tells of no torch 2\.15\.0"):
+    with pytest.raises(lock.LockError, match=r"lists no torch 2\.15\.0"):
         lock.asked_by_cuda12("2.15.0", former)
 
 
