@@ -38,6 +38,7 @@ _MODULES = (
     "operators.capture",
     "operators.cleaning",
     "operators.render",
+    "operators.photographed_light",
     "light.probes",
     "light.probe_checks",
     "operators.lighting",

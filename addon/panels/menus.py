@@ -150,6 +150,7 @@ class PHYSHDR_MT_object(_Menu, bpy.types.Menu):
         Entry("develop_render", icon="CAMERA_STEREO"),
         Entry("develop_render", "Render Radiance Again", arguments={"remove": True}),
         None,
+        Entry("light_as_photographed", "Light as Photographed", "LIGHT", menu_of="light"),
         Entry("light_from_here", icon="LIGHTPROBE_SPHERE"),
         Entry("light_refresh", icon="FILE_REFRESH"),
         Entry("light_reset", icon="LOOP_BACK"),

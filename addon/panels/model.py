@@ -19,6 +19,7 @@ from ..model.preview_look import followed
 from ..operators.base import choices
 from ..operators.lighting import model_in
 from ..operators.native import draw_native
+from ..operators.photographed_light import choices_of
 from ..rendering.render_setup import has_model, models_of
 from ..runtime import session
 from ..session.advice import holds_another, why_not
@@ -49,6 +50,7 @@ class PHYSHDR_PT_model(SidebarPanel, bpy.types.Panel):
         if target is not None:
             layout.label(text=target.name, icon="OUTLINER_OB_POINTCLOUD")
             draw_sliders(layout, target)
+            draw_photographed(layout, target)
             draw_cameras(layout, target)
         elif settings.preview or state.job.has_model:
             draw_own(layout, state, settings)
@@ -98,6 +100,12 @@ def target_of(context: bpy.types.Context, state: State) -> bpy.types.Object | No
     if context.scene.physhdr.preview:
         return followed(context.scene, context.view_layer, state.job)
     return model_in(context)
+
+
+def draw_photographed(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
+    """The light of its photos, to choose from; nothing where all were taken under one."""
+    if choices_of(target):
+        layout.operator_menu_enum("physhdr.light_as_photographed", "light", text="Light as Photographed")
 
 
 def draw_cameras(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from ...bridge.model_file import PHOTOGRAPHED_EV, Model
 from ...bridge.photographed_light import (
     PHOTOGRAPHED_LIGHT,
     STANDARD,
+    Found,
     PhotographedLight,
     photographed_light_text,
 )
@@ -27,7 +28,7 @@ from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
 from ..train.learned_lens import LearnedLenses, lenses_of
 from ..train.learned_poses import LearnedPoses, moved
-from ..train.light_levels import LightLevels, with_levels
+from ..train.light_levels import LightLevels, how_found, with_levels
 from ..train.nuisances import Nuisances
 from ..train.saver import learned_levels, learned_of_photographs, load_method
 from ..train.state import State
@@ -43,6 +44,7 @@ class Run:
 
     ``lenses``: what it has learned of the photographs' lenses; None where there was nothing to learn.
     ``twists``: ``[V, 6]``, how it has moved its views' cameras (``LearnedPoses.twists``); None: not at all.
+    ``found``: of each light group the lights whose levels it has found, and how.
     """
 
     folder: Path
@@ -53,6 +55,7 @@ class Run:
     iteration: int
     lenses: LearnedLenses | None = None
     twists: np.ndarray | None = None
+    found: Mapping[str, Mapping[str, Found]] = field(default_factory=dict)
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -77,9 +80,14 @@ class Run:
         return math.log2(self.scene.middle_exposure) if self.scene.photographs else 0.0
 
     def photographed_light(self) -> list[PhotographedLight]:
-        """The light of its standard photographs."""
-        each = zip(self.method.lights, self.method.standard_levels, strict=True)
-        return [PhotographedLight(STANDARD, dict(each))]
+        """The light of its standard photographs, then of each group that it was trained on."""
+        lights = self.method.lights
+        groups = {view.group: view for view in training_views(self.scene, self.config) if view.group}
+        found = [PhotographedLight(STANDARD, dict(zip(lights, self.method.standard_levels, strict=True)))]
+        for name, view in groups.items():
+            levels = dict(zip(lights, view.known_levels, strict=True))
+            found.append(PhotographedLight(name, levels, self.found.get(name, {})))
+        return found
 
     @cached_property
     def radiance_scale(self) -> float:
@@ -185,10 +193,12 @@ def open_run(
         choose_device(device)[0],
         written.fingerprint,
     )
-    scene = _at_levels(scene, learned_levels(folder, training_views(scene, config), scene.lights))
+    views = training_views(scene, config)
+    found = how_found(views, scene.lights)
+    scene = _at_levels(scene, learned_levels(folder, views, scene.lights))
     learned, twists = learned_of_photographs(folder)
     lenses = lenses_of(learned, [view.camera for view in scene.train])
-    return Run(folder, written.preset, config, scene, method, iteration, lenses, twists)
+    return Run(folder, written.preset, config, scene, method, iteration, lenses, twists, found)
 
 
 def as_learned(run: Run, state: State) -> Run:
@@ -202,6 +212,7 @@ def as_learned(run: Run, state: State) -> Run:
         iteration=state.iteration,
         lenses=lenses_of((learned.get("vignetting"), learned.get("reach")), cameras),
         twists=None if poses is None else poses.twists,
+        found={} if light is None else how_found(light.views, light.lights),
     )
 
 

@@ -21,6 +21,7 @@ from typing import Self
 import numpy as np
 import torch
 
+from ...bridge.photographed_light import Found
 from ..kernels.activations import DARKEST
 from ..methods.base import Batch, Outcome
 from ..scene.scene import View
@@ -63,6 +64,21 @@ def unknown_levels(views: Sequence[View], lights: Sequence[str]) -> list[Unknown
         if level is None
     )
     return list(dict.fromkeys(found))
+
+
+def is_measured(views: Sequence[View], light: int) -> bool:
+    """Whether a known other level of the light in ``views`` tells its shares."""
+    there = {(view.lighting_levels[light], view.standard_levels[light]) for view in views}
+    return any(level not in (None, usual) for level, usual in there)
+
+
+def how_found(views: Sequence[View], lights: Sequence[str]) -> dict[str, dict[str, Found]]:
+    """Of each group of ``views`` the lights whose levels training finds, and how."""
+    found: dict[str, dict[str, Found]] = {}
+    for each in unknown_levels(views, lights):
+        how: Found = "measured" if is_measured(views, each.index) else "estimated"
+        found.setdefault(each.group, {})[each.light] = how
+    return found
 
 
 def with_levels(views: Sequence[View], found: Mapping[tuple[str, int], float]) -> list[View]:
@@ -114,11 +130,6 @@ class LightLevels(Part):
         notes = (_wrong_words(firsts[group], ratio, self.lights) for group, ratio in ratios.items())
         self.notes = [note for note in notes if note]
 
-    def _is_measured(self, light: int) -> bool:
-        """Whether a known other level of the light tells its shares."""
-        there = {(view.lighting_levels[light], view.standard_levels[light]) for view in self.views}
-        return any(level not in (None, usual) for level, usual in there)
-
     @property
     def levels(self) -> dict[tuple[str, int], float]:
         """The levels that are learned, by group and light."""
@@ -153,7 +164,7 @@ class LightLevels(Part):
             return
         for row, light in self._rows:
             gradient = math.exp(self.log_level[row]) * self._gradient[light]
-            gradient += 0.0 if self._is_measured(light) else PULL * self.log_level[row]
+            gradient += 0.0 if is_measured(self.views, light) else PULL * self.log_level[row]
             self.steps[row] += 1.0
             corrected = []
             for moment, beta, new in zip(self.moments, BETAS, (gradient, gradient**2), strict=True):
@@ -170,8 +181,9 @@ class LightLevels(Part):
         return ". ".join([*map(self._in_words, self.unknown), *self.notes])
 
     def _in_words(self, each: Unknown) -> str:
-        measured = self._is_measured(each.index)
-        how = "measured" if measured else "estimated: right if this light alone lights some surface"
+        how = how_found(self.views, self.lights)[each.group][each.light]
+        if how == "estimated":
+            how += ": right if this light alone lights some surface"
         level = self.levels[each.group, each.index]
         return f"{each.light} in '{each.group}' is at {level:.3g} ({how})"
 

@@ -22,7 +22,9 @@ import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, point_cloud, radiance_tree  # noqa: E402
 from physhdr.addon.model import material as materials  # noqa: E402
 from physhdr.addon.model.look import look_of  # noqa: E402
+from physhdr.addon.operators.photographed_light import choices_of  # noqa: E402
 from physhdr.bridge import native_splats, spherical_harmonics  # noqa: E402
+from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
 
@@ -151,6 +153,29 @@ def test_a_model_is_lit_as_its_photographs_at_first(registered, make_model, writ
     assert look_of(baked).lighting_levels == (1.0,) and "physhdr_photographed_light" not in baked.data
     target.modifiers.clear()
     assert look_of(target).lighting_levels == (1.0, 0.0)
+
+
+def test_a_model_is_lit_as_any_of_its_photographs(registered, make_model, write):
+    """One click for each group; without groups there is nothing to choose, and nothing in the panel."""
+    lights = ("ambient", "pendant")
+    text = (
+        '[{"name": "standard", "levels": {}}, {"name": "pendant off", "levels": {"pendant": 0}}, '
+        '{"name": "evening", "levels": {"ambient": 0.25}, "found": {"ambient": "estimated"}}]'
+    )
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model(lights=lights))))
+    assert not bpy.ops.physhdr.light_as_photographed.poll()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    model = dataclasses.replace(make_model(lights=lights), metadata={"photographed_light": text})
+    bpy.ops.physhdr.model_import(filepath=str(write(model)))
+    target = bpy.context.active_object
+    assert [each.name for each in choices_of(target)] == ["standard", "pendant off", "evening"]
+    for number, levels in ((2, (0.25, 1.0)), (1, (1.0, 0.0)), (0, (1.0, 1.0))):
+        assert bpy.ops.physhdr.light_as_photographed(light=str(number)) == {"FINISHED"}
+        assert look_of(target).lighting_levels == levels
+    target.data["physhdr_photographed_light"] = "bright"
+    assert not choices_of(target)
+    with pytest.raises(DataMismatchError, match="import the model again"):
+        look_of(target)
 
 
 @pytest.mark.parametrize("told", ["nan", "inf", "1e9", "bright", ""])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.torch import load_file
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.video import Video
@@ -18,6 +19,7 @@ from physhdr.bridge.light_groups import LightGroup, LightGroups, write_light_gro
 from physhdr.bridge.messages import PreviewCamera, PreviewRequest
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model
+from physhdr.bridge.run_folder import CHECKPOINT_FILE
 from physhdr.bridge.shots import Shot
 from physhdr.bridge.splat_files import read_splat_file
 from physhdr.tests.backend.scene import layouts
@@ -27,11 +29,12 @@ LIGHTS, STANDARD = ("ambient", "flash"), (1.0, 0.0)
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
-    """Trained for 20 iterations on photographs of which two are lit by a flash."""
+    """Trained for 20 iterations on photographs, two of them lit by a flash, two of the evening."""
     folder = tmp_path_factory.mktemp("flash")
     data = layouts.write_gausshdr(folder / "data", poses=9, suffix="jpg")
-    group = LightGroup("flash on", {"flash": 1.0}, ("*_r_7", "*_r_8_*"))
-    write_light_groups(data, LightGroups(LIGHTS, (group,), {"flash": 0.0}))
+    flash = LightGroup("flash on", {"flash": 1.0}, ("*_r_7", "*_r_8_*"))
+    evening = LightGroup("evening", {"ambient": None}, ("*_r_5", "*_r_6"))
+    write_light_groups(data, LightGroups(LIGHTS, (flash, evening), {"flash": 0.0}))
     short = ["--iterations", "20", "--initial-points", "random", "--set", "random_points=200"]
     assert main(["train", str(data), "--out", str(folder / "run"), "--preset", "fast", *short]) == 0
     return folder / "run"
@@ -87,6 +90,16 @@ def test_videos_paths_and_previews_begin_there(run: Path):
     assert np.array_equal(usual, standard) and not np.array_equal(usual, lit)
 
 
-def test_the_metadata_name_what_is_not_at_1(run: Path):
-    provenance = open_run(run, pictures=False).provenance
-    assert json.loads(provenance["photographed_light"])[0] == {"name": "standard", "levels": {"flash": 0.0}}
+def test_found_levels_are_kept_with_what_they_are_worth(run: Path):
+    """As the checkpoint has them: exp of what is learned of the evening, whose light no other level tells."""
+    (learned,) = load_file(run / CHECKPOINT_FILE)["light_levels.log_level"].exp().tolist()
+    standard, *groups = json.loads(open_run(run, pictures=False).provenance["photographed_light"])
+    assert standard == {"name": "standard", "levels": {"flash": 0.0}}
+    assert {group["name"]: group["levels"] for group in groups} == {
+        "evening": {"ambient": pytest.approx(learned), "flash": 0.0},
+        "flash on": {},
+    }
+    assert [group.get("found") for group in groups if group["name"] == "evening"] == [
+        {"ambient": "estimated"}
+    ]
+    assert not any("found" in group for group in groups if group["name"] != "evening")
