@@ -18,12 +18,23 @@ from physhdr.backend.train.densify import (
     DensifyState,
     GaussiansConfig,
     densify,
+    is_due,
     observe,
+    reset_is_due,
     reset_opacity,
 )
 from physhdr.backend.train.growth import NoGaussiansLeftError, gradient_scaling
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
+
+
+def test_it_is_due_every_so_often_strictly_between_the_first_and_the_last_iteration():
+    config = GaussiansConfig(start=500, stop=0.5, every=100, reset_every=300)
+    iterations = range(1, 2001)
+    assert [i for i in iterations if is_due(i, 2000, config)] == [600, 700, 800, 900]
+    assert [i for i in iterations if reset_is_due(i, 2000, config)] == [300, 600, 900]
+    never = dataclasses.replace(config, reset_every=0)
+    assert not any(reset_is_due(i, 2000, never) for i in iterations)
 
 
 def make(count=8):
