@@ -24,6 +24,7 @@ from ...bridge.data_set import HELD_OUT, TEST, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError
 from ..scene.scene import Scene, View
 from . import truth
+from .geometry import geometry_rows, views_with_surface
 from .linearity import Values, compared_values, linearity
 from .lit_photos import can_be_compared, lit_rows
 from .lpips import SMALLEST_SIDE, Lpips
@@ -93,7 +94,7 @@ def evaluate(
     if _smallest_side(views) < SMALLEST_SIDE:
         lpips = None
     compares_lit = split == TEST and bool(scene.lit_test) and can_be_compared(renderer, scene)
-    count = (2 if falloff is None else 3) * len(views) + len(relit)
+    count = (2 if falloff is None else 3) * len(views) + len(relit) + len(views_with_surface(scene, split))
     step = _Steps(count + (len(scene.lit_test) if compares_lit else 0), progress)
 
     # Before rendering, which takes long: the response in dataset.json may be invalid.
@@ -135,6 +136,7 @@ def evaluate(
     lit = lit_rows(renderer, scene, falloff, step) if compares_lit else []
     if split == TEST and scene.lit_test and not compares_lit:
         messages.append("Photos under other light left out: the model has no levels for their lights.")
+    geometry = geometry_rows(renderer, scene, split, step)
     step.end()
     messages += _capped(ldr, hdr_rows, relit_rows)
     return Evaluation(
@@ -156,6 +158,7 @@ def evaluate(
         falloff_used=falloff_used,
         lit=lit,
         linearity=linearity([_compared(each) for each in standard.values()]),
+        geometry=geometry,
     )
 
 

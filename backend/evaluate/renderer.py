@@ -9,6 +9,7 @@ import torch
 from ...bridge.lights import Levels
 from ..scene.camera import Camera
 from ..scene.scene import Scene
+from .panorama import LitSplats
 
 
 class Renderer(Protocol):
@@ -64,6 +65,10 @@ class Renderer(Protocol):
         Only called for methods that learn such effects of a camera.
         """
         raise NotImplementedError
+
+    def surface_splats(self, camera: Camera) -> LitSplats | None:
+        """What it draws ``camera``'s picture from, whose surface is measured; None: not from splats."""
+        return None
 
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
         """ln(exposure × radiance) ``[M]`` and LDR ``[M, 3]``; None without a single global curve."""

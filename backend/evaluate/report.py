@@ -88,6 +88,8 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             for row in evaluation.relit
         ],
         "lit": [dataclasses.asdict(row) for row in evaluation.lit],
+        "geometry_mean": evaluation.geometry_mean and dataclasses.asdict(evaluation.geometry_mean),
+        "geometry": [dataclasses.asdict(row) for row in evaluation.geometry],
         "messages": evaluation.messages,
         "seconds": round(evaluation.seconds, 2),
     }
@@ -223,6 +225,8 @@ def conditions(evaluation: Evaluation) -> list[str]:
         lines.append(f"HDR scale ratio (median of prediction / truth, median over views): {ratio:.4f}")
     if evaluation.linearity is not None:
         lines.append(str(evaluation.linearity))
+    if evaluation.geometry_mean is not None:
+        lines.append(str(evaluation.geometry_mean))
     if evaluation.response is not None:
         lines.append(str(evaluation.response))
     if evaluation.relit:

@@ -122,6 +122,39 @@ class LitRow:
 
 
 @dataclass(frozen=True)
+class GeometryRow:
+    """How far a view's surface is from the true one.
+
+    ``depth``: median error in metres, ``depth_beyond``: the share beyond 10 cm; ``normal``: median angle in
+    degrees, ``normal_beyond``: the share beyond 30°, both NaN where every pixel has an edge.
+    """
+
+    view: str
+    index: int
+    depth: float
+    depth_beyond: float
+    normal: float
+    normal_beyond: float
+
+
+@dataclass(frozen=True)
+class GeometryMeans:
+    """Means over views of the numbers of ``GeometryRow``."""
+
+    depth: float
+    depth_beyond: float
+    normal: float
+    normal_beyond: float
+
+    def __str__(self) -> str:
+        return (
+            f"surface against the true one, means over views: depth {100.0 * self.depth:.1f} cm (median "
+            f"error; {100.0 * self.depth_beyond:.0f} % beyond 10 cm), normals {self.normal:.1f}° "
+            f"({100.0 * self.normal_beyond:.0f} % beyond 30°)"
+        )
+
+
+@dataclass(frozen=True)
 class LitMeans:
     """Means in dB over the photos of one group, or all; the photo's where each has one."""
 
@@ -244,6 +277,7 @@ class Evaluation:
     falloff_used: bool = False
     lit: list[LitRow] = field(default_factory=list)
     linearity: Linearity | None = None
+    geometry: list[GeometryRow] = field(default_factory=list)
 
     def ldr_mean(self, part: str) -> Metrics | None:
         """Mean over the views for each exposure, then over those of ``part``; None if there are none."""
@@ -315,6 +349,14 @@ class Evaluation:
     def scale_ratio(self) -> float | None:
         """The median over the views of their median prediction / truth; 1 is right. None: no view has one."""
         return middle_ratio([row.scale_ratio for row in self.hdr])
+
+    @property
+    def geometry_mean(self) -> GeometryMeans | None:
+        """Over the views; None if there are no rows."""
+        if not self.geometry:
+            return None
+        names = ("depth", "depth_beyond", "normal", "normal_beyond")
+        return GeometryMeans(**{name: _mean([getattr(row, name) for row in self.geometry]) for name in names})
 
     @property
     def lit_groups(self) -> list[str]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from ...bridge import data_set
@@ -18,7 +19,11 @@ from ...bridge.layouts.truth_folders import GAUSSHDR, HDR_GS, holds_truth
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import check_level
 from ...bridge.regular import read_json_object, resolved
+from ..scene.pictures import read_exr_channels
 from ..scene.source import exr_rec709
+
+#: Depths from here on are of the sky: Cycles gives it 1e10.
+SKY = 1e9
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,45 @@ def has_hdr_truth(root: Path, split: str) -> bool:
 def hdr_truth(root: Path, split: str, index: int) -> torch.Tensor:
     """``[3, H, W]`` float32 Linear Rec.709; raises what ``exr_rec709`` raises."""
     return radiance_in(hdr_truth_path(root, split, index))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTruth:
+    """What a view sees of the true surface: ``depth`` ``[H, W]`` metres, ``normal`` ``[H, W, 3]``.
+
+    The normal is in the world, a mean over the pixel, and shorter than 1 where it has an edge. ``is_known``:
+    where there is a surface, ``[H, W]`` bool.
+    """
+
+    depth: np.ndarray
+    normal: np.ndarray
+    is_known: np.ndarray
+
+    def sampled(self, height: int, width: int) -> "SurfaceTruth":
+        """At the middle of each pixel of a picture of another size: depths of two surfaces have no mean."""
+        rows, columns = (
+            ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+            for new, old in zip((height, width), self.depth.shape, strict=True)
+        )
+        at = np.ix_(rows, columns)
+        return SurfaceTruth(self.depth[at], self.normal[at], self.is_known[at])
+
+    def within(self, mask: np.ndarray) -> "SurfaceTruth":
+        """Known in ``mask`` ``[H, W]`` bool alone."""
+        return SurfaceTruth(self.depth, self.normal, self.is_known & mask)
+
+
+def has_surface_truth(root: Path, split: str, index: int) -> bool:
+    """Whether the renders that a data set was derived from are there, which have depth and normals."""
+    return (Path(root) / data_set.passes_file(split, index)).is_file()
+
+
+def surface_truth(root: Path, split: str, index: int) -> SurfaceTruth:
+    """Of pose ``index`` of ``split``; raises what ``read_exr_channels`` raises."""
+    path = Path(root) / data_set.passes_file(split, index)
+    names = ("depth.V", "normal.X", "normal.Y", "normal.Z")
+    depth, *normal = read_exr_channels(path, "Make the data set again.", names).values()
+    return SurfaceTruth(depth, np.stack(normal, axis=-1), (depth > 0.0) & (depth < SKY))
 
 
 @dataclass(frozen=True)

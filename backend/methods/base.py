@@ -450,6 +450,10 @@ class Method(nn.Module, ABC):
             parts = parted(radiance, torch.ones_like(radiance)[:, None])
         return LitSplats(splats.means, splats.quaternions, splats.scales, splats.opacities, parts)
 
+    def surface_splats(self, camera: Camera) -> LitSplats | None:
+        """``lit_splats`` of a method that has any."""
+        return self.lit_splats(camera)
+
     def parts_beyond(
         self, camera: Camera, place: Sequence[float], near: float
     ) -> tuple[torch.Tensor, torch.Tensor, int]:

@@ -63,6 +63,9 @@ class WithoutSplats(Method):
     def lights_apart(self) -> tuple[str, ...]:
         return ()
 
+    def surface_splats(self, camera: Camera) -> None:
+        return None
+
     def parts_beyond(
         self, camera: Camera, place: Sequence[float], near: float
     ) -> tuple[torch.Tensor, torch.Tensor, int]:

@@ -51,6 +51,7 @@ BACKEND: Floors = (
     # Measures the noise of true radiance, which evaluation alone may read.
     ("inspect",),
     ("evaluate", "device"),
+    ("surface",),
     # Compiling ahead of time calls the rasteriser, too.
     ("kernels",),
     ("rasterize",),
