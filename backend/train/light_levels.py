@@ -92,7 +92,11 @@ def with_levels(views: Sequence[View], found: Mapping[tuple[str, int], float]) -
 
 
 class LightLevels(Part):
-    """``log_level`` ``[U]`` of ``unknown``, on the host. ``notes``: what is wrong with groups' words."""
+    """``log_level`` ``[U]`` of ``unknown``, on the host.
+
+    ``notes``: what is wrong with groups' words, by the first points, and at the end by the trained ones and
+    the learned response, in a resumed training, too.
+    """
 
     name = "light_levels"
 
@@ -102,15 +106,17 @@ class LightLevels(Part):
 
     @classmethod
     def new(cls, state: State) -> Self:
-        part = cls(state.views, state.plan.seen.lights)
+        part = cls(state)
         if state.iteration == 0:
-            part.begin(_ratios(state))
+            ratios = _ratios(state)
+            part.begin(ratios)
+            part.check_words(ratios)
             state.start_message += "".join(f". {note}" for note in part.notes)
         return part
 
-    def __init__(self, views: Sequence[View], lights: Sequence[str]) -> None:
-        self.views, self.lights = views, lights
-        self.unknown = unknown_levels(views, lights)
+    def __init__(self, state: State) -> None:
+        self._state, self.views, self.lights = state, state.views, state.plan.seen.lights
+        self.unknown = unknown_levels(self.views, self.lights)
         self._row = {(each.group, each.index): row for row, each in enumerate(self.unknown)}
         self.log_level = np.full(len(self.unknown), math.log(UNKNOWN))
         self.moments = np.zeros((2, len(self.unknown)))
@@ -126,6 +132,9 @@ class LightLevels(Part):
             if (ratio := ratios[each.group]) is not None:
                 level = ratio.darkest if ratio.median < 1.0 else ratio.brightest
                 self.log_level[row] = np.clip(math.log(level), -LARGEST, LARGEST)
+
+    def check_words(self, ratios: Mapping[str, LightRatio | None]) -> None:
+        """Note what points say against the words of groups."""
         firsts = {view.group: view for view in self.views[::-1] if view.group}
         notes = (_wrong_words(firsts[group], ratio, self.lights) for group, ratio in ratios.items())
         self.notes = [note for note in notes if note]
@@ -160,6 +169,8 @@ class LightLevels(Part):
         self._gradient = level_gradient(passed, share.detach(), batch.levels).cpu().numpy()
 
     def step(self, batch: Batch) -> None:
+        if self._state.iteration == self._state.plan.iterations:
+            self.check_words(_ratios(self._state))
         if batch.progress < START:
             return
         for row, light in self._rows:

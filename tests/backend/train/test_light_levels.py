@@ -9,10 +9,11 @@ import torch
 
 from physhdr.backend.kernels.activations import lit_colours, lit_colours_reference
 from physhdr.backend.scene import read_scene
-from physhdr.backend.train.begin import begin
+from physhdr.backend.train.begin import begin, resume
 from physhdr.backend.train.light_levels import LightLevels, level_gradient, with_levels
 from physhdr.backend.train.nuisances import Nuisances
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.saver import save
 from physhdr.backend.train.trainer import step
 
 
@@ -91,6 +92,23 @@ def test_a_group_under_wrong_words_is_noticed(tiny_data, levels, which, note):
     part = state.part(LightLevels)
     assert part is not None and (note in "".join(part.notes) if note else not part.notes)
     assert not note or (note in state.start_message and note in part.summary)
+
+
+def test_wrong_words_are_noticed_at_the_end_of_a_resumed_training(tiny_data, tmp_path):
+    """By the trained points and the learned response: the message of the beginning is long gone."""
+    scene = read_scene(tiny_data)
+    lit = of_group(scene.lit[:1], "pendant on", (2.0,))  # it is at ¼
+    scene = dataclasses.replace(scene, lit=lit)
+    config = short(4, initial_points="auto")
+    state = begin(scene, config)
+    step(state)
+    save(state, tmp_path)
+    resumed = resume(tmp_path, scene, config)
+    part = resumed.part(LightLevels)
+    assert not part.notes
+    while resumed.iteration < 4:
+        step(resumed)
+    assert "darker than elsewhere" in part.summary
 
 
 def test_gains_of_a_group_are_not_its_light(tiny_data):
