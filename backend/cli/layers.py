@@ -14,6 +14,7 @@ import torch
 
 from ..export.confidence import confidence_picture
 from ..methods.base import Method
+from ..rasterize import median_depth
 from ..scene.camera import Camera
 from ..scene.pictures import write_exr_channels
 
@@ -38,9 +39,10 @@ class GaussianConfidence:
 class Layers:
     """``radiance`` ``[3, H, W]`` premultiplied, ``alpha`` ``[H, W]``.
 
-    ``depth`` ``[H, W]``: metres along the camera's axis, the mean of what covers the pixel, weighted by its
-    share of alpha; 0 where nothing does. ``fixed``: ``[3, H, W]`` of the radiance that no light changes, and
-    ``lights``: by name, each one's contribution at level 1; None and empty if they cannot be separated.
+    ``depth`` ``[H, W]``: metres along the camera's axis to where half of the pixel is covered, which is on a
+    surface, never between two; 0 where less than half is. ``fixed``: ``[3, H, W]`` of the radiance that no
+    light changes, and ``lights``: by name, each one's contribution at level 1; None and empty if they cannot
+    be separated.
     ``confidence`` ``[H, W]``, premultiplied; None if unknown.
     """
 
@@ -62,17 +64,18 @@ def render_layers(
 ) -> Layers:
     """Render what ``camera`` sees at one level per light, its radiance times ``scale``."""
     drawn = method.preview(camera, levels)
-    assert drawn.depth is not None, "a preview has it"
+    splats = method.lit_splats(camera)
+    depth = median_depth(splats.means, splats.quaternions, splats.scales, splats.opacities, camera)
     names = method.lights_apart
     fixed, lights = None, {}
     if names:
-        parts, _ = method.lit_splats(camera).drawn(camera, method.implementation)
+        parts, _ = splats.drawn(camera, method.implementation)
         parts = parts * scale
         fixed, lights = parts[0], dict(zip(names, parts[1:], strict=True))
     confidence = None
     if of_gaussians is not None:
         confidence = confidence_picture(of_gaussians.method, of_gaussians.confidence, camera).image[0]
-    return Layers(drawn.image * scale, drawn.alpha, drawn.depth, fixed, lights, confidence)
+    return Layers(drawn.image * scale, drawn.alpha, depth, fixed, lights, confidence)
 
 
 def write_layers(path: Path, layers: Layers, levels: Sequence[float] = ()) -> None:

@@ -21,7 +21,7 @@ from physhdr.backend.cli.layers import (
     render_layers,
     write_layers,
 )
-from physhdr.backend.rasterize import rasterize
+from physhdr.backend.rasterize import median_depth, rasterize
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.pictures import read_radiance
@@ -95,22 +95,17 @@ def test_alpha_and_depth_are_the_references_in_float64(run: Path, tmp_path: Path
     planes, _ = opened(tmp_path / "a.exr")
     splats = method.backbone.splats(camera, method.active_sh_degree)
     shape = (splats.means, splats.quaternions, splats.scales, splats.opacities)
-    *axis, away = camera.world_to_camera[2]
-    depth = splats.means.double() @ torch.tensor(axis, dtype=torch.float64) + away
-    with torch.no_grad():
-        drawn = rasterize(
-            *(each.double() for each in shape),
-            depth[:, None].expand(-1, 3).contiguous(),
-            camera,
-            implementation="reference",
-        )
-    alpha = drawn.alpha.numpy()
-    covered = alpha > 0.01
-    assert covered.any() and not covered.all()
+    in_float64 = [each.detach().double() for each in shape]
+    nothing = torch.zeros(len(splats.means), 1, dtype=torch.float64)
+    alpha = rasterize(*in_float64, nothing, camera, implementation="reference").alpha.numpy()
+    expected = median_depth(*in_float64, camera, implementation="reference").numpy()
     np.testing.assert_allclose(planes["ViewLayer.Combined.A"], alpha, atol=1e-4)
-    mean = drawn.image[0].numpy()[covered] / alpha[covered]
-    np.testing.assert_allclose(planes["ViewLayer.Depth.Z"][covered], mean, rtol=2e-3)
-    np.testing.assert_array_equal(planes["ViewLayer.Depth.Z"][alpha == 0.0], np.float32(NOTHING))
+    found = planes["ViewLayer.Depth.Z"]
+    # Where rounding decides which Gaussian brings a pixel to a half, either is right.
+    covered = expected > 0.0
+    assert covered.any() and not covered.all()
+    assert np.isclose(found[covered], expected[covered], rtol=1e-4).mean() > 0.98
+    np.testing.assert_array_equal(found[alpha < 0.499], np.float32(NOTHING))
 
 
 def test_confidence_is_that_of_its_own_picture(run: Path, tmp_path: Path) -> None:
