@@ -44,7 +44,8 @@ PACKAGES = (
     "blender xvfb xauth xdotool libgl1-mesa-dri libegl1 libgl1 x11-utils imagemagick "
     "python3-numpy python3-requests python3-cattr python3-zstandard"
 )
-SCREEN = "-screen 0 1280x800x24 +extension GLX"
+#: Of the screen, in pixels: of most tests, and of those whose subject it is.
+SIZE, SIZES = (1280, 800), {"newcomer": (1600, 900)}
 #: Seconds for one test on an idle machine, more on a busy one; software rendering on two cores is slow.
 PATIENCE = 900
 #: Inside: the artist's home, as pictures show it, and where in it the backend looks for compiled kernels.
@@ -66,6 +67,9 @@ KEPT = {
     "failed": "panel/6_failed",
     "imported": "panel/8_imported",
     "found": "search/1_found",
+    "first_look": "newcomer/scene_6_first_look",
+    "relit": "newcomer/scene_7_relit",
+    "rendered": "newcomer/scene_8_rendered",
     "level_0.25": "live_preview/level_0.25",
     "level_1": "live_preview/level_1",
     "level_4": "live_preview/level_4",
@@ -281,9 +285,12 @@ def run_test(room: Room, script: Path) -> bool:
     run.mkdir()
     for name in OF_RUN:
         shutil.copy(ROOT / "runs" / "demo" / name, run)
-    blender = room.blender(script, out, "--python-exit-code 1 --window-geometry 0 0 1280 800")
+    width, height = SIZES.get(script.stem, SIZE)
+    options = f"--python-exit-code 1 --window-geometry 0 0 {width} {height}"
+    blender = room.blender(script, out, options)
+    screen = f"-screen 0 {width}x{height}x24 +extension GLX"
     # A display's number is the whole machine's, whatever the room's /tmp says.
-    xvfb = f"xvfb-run -a -n {100 + os.getpid() % 10_000} -s {shlex.quote(SCREEN)}"
+    xvfb = f"xvfb-run -a -n {100 + os.getpid() % 10_000} -s {shlex.quote(screen)}"
     begun, before = time.perf_counter(), cpu_seconds()
     left = room.run(out, f"{xvfb} /usr/bin/env {blender}", PATIENCE)
     result = out / "result.txt"

@@ -93,14 +93,20 @@ class Window:
         """``yield from``: until the live preview shows each view as it is now, at full size."""
         live, module = self.module("addon.runtime")._live, self.module("addon.viewport.live")
 
+        first: dict[int, int] = {}
+
         def is_sharp() -> bool:
-            if live._asked is not None or live._late:
+            if live._late:
                 return False
             for region in module._regions(self.session.state.job):
                 schedule = live._schedules.get(region.key)
-                if schedule is None or schedule._last is None or not schedule._last[0].is_sharp:
+                last = schedule._last[0] if schedule and schedule._last else None
+                if last is None or not last.is_sharp or schedule._last_held != region.view.held:
+                    first.pop(region.key, None)
                     return False
-                if schedule._last_held != region.view.held:
+                # While a model trains, a busy machine always has the next picture of a view under way.
+                number = first.setdefault(region.key, last.number)
+                if schedule._outstanding is not None and schedule._outstanding[0].number <= number:
                     return False
             return bool(live._schedules)
 
@@ -223,6 +229,10 @@ class Window:
 
     def show_panels(self, *names: str) -> Iterator[float]:
         """``yield from``: below the top only these panels, open; none: all, as they are by themselves."""
+        self._register_panels(*names)
+        yield from self.redrawn()
+
+    def _register_panels(self, *names: str) -> None:
         for cls in reversed(self._parts()):
             if cls.is_registered:
                 bpy.utils.unregister_class(cls)
@@ -240,7 +250,6 @@ class Window:
                         del cls.bl_idname
                     else:
                         cls.bl_idname = usual
-        yield from self.redrawn()
 
     def _parts(self) -> list[type]:
         """The classes of the sidebar's panels but for the top one, each after the one that it is in."""
@@ -329,6 +338,8 @@ class Window:
 
     def end(self) -> Iterator[float]:
         """``yield from``: nothing that this Blender has begun is under way any more, and it never warned."""
+        if self._panels and is_enabled():
+            self._register_panels()
         assert not bpy.app.autoexec_fail, f"a security warning was provoked: {bpy.app.autoexec_fail_message}"
         if not is_enabled():
             return
@@ -360,15 +371,26 @@ class Window:
         yield from self.redrawn()
 
     def until(self, done: Callable[[], bool], seconds: float, what: str) -> Iterator[float]:
-        """``yield from window.until(…)``: let Blender live until ``done``; fails after ``seconds``.
+        """``yield from window.until(…)``: let Blender live until ``done``; fails where for ``seconds``
+        neither that nor any step of the work under way was made.
 
         They are seconds of an idle machine: where others run, it takes longer.
         """
-        patience = Patience(seconds)
+        patience, before = Patience(seconds), self._progress()
         while not done():
+            if (now := self._progress()) != before:
+                patience, before = Patience(seconds), now
             if patience.is_over:
                 raise TimeoutError(f"not {what} within {seconds:g} s of an idle machine")
             yield LOOK_SECONDS
+
+    def _progress(self) -> object:
+        """Another value after each step that training or a task reports."""
+        if not is_enabled():
+            return None
+        state = self.session.state
+        tasks = [(task.name, task.fraction, task.message) for task in state.tasks]
+        return state.job.iteration, state.job.message, tasks
 
 
 def is_enabled() -> bool:

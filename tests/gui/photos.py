@@ -135,4 +135,5 @@ def click(column: int, row: int) -> None:
     subprocess.run(["xdotool", "mousemove", str(column), str(row), "sleep", "0.2", "click", "1"], check=True)
 
 
-drive(test)
+if __name__ == "__main__":
+    drive(test)
