@@ -597,7 +597,7 @@ def test_reports(data_set: Path, small: ModuleType, tmp_path: Path) -> None:
             "exp3",
             "split test",
             "ambient 4",
-            "best × truth",
+            "best ×",
         ):
             assert word in text
 
