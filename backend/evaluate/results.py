@@ -352,11 +352,15 @@ class Evaluation:
 
     @property
     def geometry_mean(self) -> GeometryMeans | None:
-        """Over the views; None if there are no rows."""
+        """Over the views that have each number; None if there are no rows."""
         if not self.geometry:
             return None
-        names = ("depth", "depth_beyond", "normal", "normal_beyond")
-        return GeometryMeans(**{name: _mean([getattr(row, name) for row in self.geometry]) for name in names})
+
+        def mean(name: str) -> float:
+            values = [value for row in self.geometry if not math.isnan(value := getattr(row, name))]
+            return _mean(values) if values else math.nan
+
+        return GeometryMeans(mean("depth"), mean("depth_beyond"), mean("normal"), mean("normal_beyond"))
 
     @property
     def lit_groups(self) -> list[str]:

@@ -25,7 +25,7 @@ PHYSHDR = PYTHON.parent / "physhdr"
 #: The camera: hand-held, ISO 800, an sRGB-like response, and what automatic settings get wrong.
 CAMERA = ("--bracket=-3,0,3", "--crf", "srgb", "--iso", "800")
 FAULTS = ("--exposure-jitter", "0.1", "--white-balance-jitter", "0.05", "--vignetting", "0.5")
-#: Daylight in the evening, as a factor on that of the standard photos; nobody tells training.
+#: Daylight in the evening, as a factor on that of the standard photos; training has to find it.
 AMBIENT, DAYLIGHT, EVENING = "ambient", "daylight", 0.2
 LEVELS = (0.0, 0.25, 4.0)
 #: Places of each group where the number of places is not what is varied.

@@ -15,6 +15,7 @@ from physhdr.backend.evaluate.geometry import geometry_rows
 from physhdr.backend.evaluate.panorama import LitSplats
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.report import to_dict, to_markdown
+from physhdr.backend.evaluate.results import Evaluation, GeometryRow
 from physhdr.backend.evaluate.truth import surface_truth
 from physhdr.backend.scene import Camera, read_scene
 from physhdr.backend.scene.scene import Scene
@@ -118,3 +119,10 @@ def test_a_report_states_it_where_it_is_known(data_set: Path, small: ModuleType)
     assert "depth 2.0 cm (median error; 0 % beyond 10 cm), normals 10.0° (0 % beyond 30°)" in to_markdown(
         result
     )
+
+
+def test_a_view_of_edges_alone_leaves_the_mean_of_normals_to_others() -> None:
+    rows = [GeometryRow("a", 0, 0.01, 0.1, 8.0, 0.2), GeometryRow("b", 1, 0.03, 0.3, math.nan, math.nan)]
+    mean = Evaluation("s", "test", "exp3", (8, 8), [], [], [], geometry=rows).geometry_mean
+    assert mean is not None and mean.depth == pytest.approx(0.02)
+    assert (mean.normal, mean.normal_beyond) == (8.0, 0.2)
